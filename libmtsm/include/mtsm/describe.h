@@ -1,0 +1,44 @@
+// describe.h - what is in a map file, in numbers that a person or a script can read.
+//
+//     auto d = mtsm::describe("key.mtsm");
+//     std::cout << d->layers << " layers in " << d->fileBytes << " bytes\n";
+#pragma once
+#include <array>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "mtsm/map.h"
+#include "mtsm/reader.h"
+#include "mtsm/result.h"
+
+namespace mtsm {
+
+/// Where a file's bytes go, and what its layers look like.
+struct Description {
+    Probe probe;
+    std::uint64_t fileBytes = 0;
+    struct Block {
+        std::string type;  ///< four characters
+        bool critical = false;
+        std::uint64_t count = 0, bytes = 0;  ///< headers and padding included
+    };
+    std::vector<Block> blocks;  ///< one entry per type, in order of first appearance
+    struct Plane {
+        std::string name;  ///< "counts", "z", "v" or "n"
+        std::uint64_t planes = 0, constant = 0, raw = 0, compressed = 0;  ///< by encoding
+        std::uint64_t storedBytes = 0, decodedBytes = 0;
+    };
+    std::vector<Plane> planes;
+    std::uint64_t tiles = 0, emptyTiles = 0, opaqueTiles = 0;
+    std::uint64_t pixels = 0, emptyPixels = 0, layers = 0;
+    std::uint32_t mostLayers = 0;  ///< in one pixel
+    std::vector<std::uint64_t>
+        layerHistogram;  ///< [i]: pixels with i layers; last entry: mostLayers
+    ZRange z;            ///< of all faces
+};
+
+/// Reads and checks the whole file, as readMap does.
+Result<Description> describe(const std::string& path, const ReadLimits& limits = {});
+
+}  // namespace mtsm

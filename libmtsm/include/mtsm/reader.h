@@ -1,0 +1,51 @@
+// reader.h - map files into memory. What the bytes mean: format-spec/mtsm-format.md.
+//
+//     auto map = mtsm::readMap("key.mtsm");
+//     if (!map) return complain(map.error());
+//
+// Every byte of a file is covered by a checksum or has a fixed value; sizes are proved
+// against the file's length and against ReadLimits before anything is allocated for them.
+// A file is read whole and checked whole: a ShadowMap that comes out is right to the last
+// layer, and tracing it cannot fail. Reading is safe on untrusted files. Functions may be
+// called from any thread; tiles are decoded in the caller's oneTBB arena.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "mtsm/map.h"
+#include "mtsm/result.h"
+
+namespace mtsm {
+
+/// What a file may ask of this process. The error that a limit causes names it.
+struct ReadLimits {
+    std::uint64_t maxBytes = std::uint64_t(16)
+                             << 30;  ///< decoded size: layers and hierarchy
+    std::uint64_t maxPixels = std::uint64_t(1) << 30;  ///< over all faces
+    std::uint64_t maxAttributeBytes = 64u << 20;       ///< attributes and texts
+};
+
+/// The whole map. Errors: io, badFile (the message names the damaged part and its
+/// offset), unsupported (newer major version, unknown critical block), tooLarge (a
+/// limit).
+Result<ShadowMap> readMap(const std::string& path, const ReadLimits& limits = {});
+
+/// The same from memory; `name` stands for the path in messages.
+Result<ShadowMap> readMap(const std::uint8_t* bytes, std::size_t size,
+                          const std::string& name, const ReadLimits& limits = {});
+
+/// What the first 64 bytes of a file say. Opens nothing, allocates nothing for the file's
+/// sake.
+struct Probe {
+    std::uint16_t versionMajor = 0, versionMinor = 0;
+    std::uint32_t width = 0, height = 0, faces = 0, channels = 0, tileSize = 0;
+};
+inline constexpr std::size_t kProbeBytes = 64;
+
+/// Errors: badFile (not an MTSM file, or the prefix is damaged), unsupported (newer
+/// version).
+Result<Probe> probe(const std::uint8_t* bytes, std::size_t size, const std::string& name);
+
+}  // namespace mtsm

@@ -1,0 +1,109 @@
+// shadow.h - how much of an area light a point cannot see, read from a baked map.
+//
+//     auto map = mtsm::readMap("key.mtsm");                     // mtsm/reader.h
+//     if (!map) return complain(map.error());
+//     float dark = mtsm::shadowFactor(*map, map->info().light, point, normal);
+//
+// Points, normals and rays are in world space, lengths in world units. Visibility runs
+// from 0 (dark) to 1 (clear); shadow factor = 1 - visibility. A map never changes once
+// made: any number of threads may query it at once. A query allocates nothing and cannot
+// fail; answers are finite whatever the input. The same map, point, light and seed give
+// the same answer on any machine, alone or in a batch, for any number of threads.
+//
+// Points that are not finite are lit. A point on or behind the plane of a one-sided light
+// (disk, rect) receives nothing from it: that is not shadow, so it counts as lit and
+// QueryStats says how many there were.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+#include <glm/vec3.hpp>
+
+#include "mtsm/light.h"
+#include "mtsm/map.h"
+#include "mtsm/result.h"
+
+namespace mtsm {
+
+enum class ShadowMethod {
+    trace,  ///< rays through the map [Xie07, sec. 4.3, 5.2]
+    pcf     ///< percentage-closer filtering, size from eq. 1 [Xie07, sec. 3]: for small
+            ///< lights
+};
+enum class Weight {
+    uniform,  ///< the plain mean over the light's area
+    cosine    ///< the ratio of irradiances: cosine at both ends over distance squared
+};
+enum class Attenuation {
+    multiply,  ///< a sample multiplies what is left by (v_i / v_{i-1})^(1 / n_i)
+    subtract   ///< a sample takes (v_{i-1} - v_i) / n_i [Xie07, eq. 3]
+};
+
+struct ShadowOptions {
+    int samples = 64;  ///< points on the light, 1..kMaxSamples; a point light takes 1
+    std::uint32_t seed = 0;  ///< same seed, same answer
+    float bias = -1.0f;      ///< z threshold, world units; negative: the map's own
+    float threshold =
+        1.0f / 1024;  ///< a ray with less visibility left counts as dark, [0, 1)
+    ShadowMethod method = ShadowMethod::trace;
+    Weight weight = Weight::uniform;  ///< cosine needs normals
+    Attenuation attenuation = Attenuation::multiply;
+};
+
+inline constexpr int kMaxSamples = 4096;
+
+/// Refuses options out of range, and a light that the map was not baked for (lightFits).
+/// Call it once before a series of queries; queries clamp what it would refuse.
+Status checkQuery(const ShadowMap& map, const AreaLight& light,
+                  const ShadowOptions& options);
+
+/// What a batch met.
+struct QueryStats {
+    std::uint64_t points = 0, rays = 0;
+    std::uint64_t notFinite = 0;    ///< points with a NaN or infinity: lit
+    std::uint64_t behindLight = 0;  ///< on or behind the plane of a one-sided light: lit
+    /// Outside the frustum of the light while casters reach out of the map's window: what
+    /// casts on them may be missing.
+    std::uint64_t mayBeTruncated = 0;
+};
+
+/// Fraction of `light` that is blocked from `point`: one minus the mean visibility of
+/// rays to points on the light [Xie07, sec. 5.2]. With a normal (any length but 0) the
+/// layers of the receiver's own surface are told apart by its tangent plane instead of by
+/// the bias, and points of the light below the horizon count as blocked; without, pass
+/// normal = {0, 0, 0}.
+[[nodiscard]] float shadowFactor(const ShadowMap& map, const AreaLight& light,
+                                 glm::dvec3 point, glm::dvec3 normal = glm::dvec3(0.0),
+                                 const ShadowOptions& options = {}) noexcept;
+
+/// The same for `count` points: out[i] for points[i] and normals[i] (normals may be
+/// null). Runs in the caller's oneTBB arena; `stats` may be null.
+void shadowFactors(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
+                   const glm::dvec3* normals, std::size_t count, float* out,
+                   const ShadowOptions& options = {},
+                   QueryStats* stats = nullptr) noexcept;
+
+/// A shadow ray: from `origin`, `length` along the unit vector `direction`, or without
+/// end if length is infinite.
+struct ShadowRay {
+    glm::dvec3 origin{0.0};
+    glm::dvec3 direction{0.0, 1.0, 0.0};
+    double length = 0.0;
+};
+
+struct RayOptions {
+    float bias = -1.0f;             ///< z threshold, world units; negative: the map's own
+    float threshold = 1.0f / 1024;  ///< with less visibility left the ray is dark
+    Attenuation attenuation = Attenuation::multiply;
+};
+
+/// The visibility left to a ray by the layers it crosses, mean over the channels [Xie07,
+/// sec. 5.2]. The whole ray counts: a caller that starts on a surface moves the origin
+/// off it. A ray of no length, or one that is not finite, is clear.
+[[nodiscard]] float visibility(const ShadowMap& map, const ShadowRay& ray,
+                               const RayOptions& options = {}) noexcept;
+
+/// The same for `count` rays, in the caller's oneTBB arena.
+void visibilities(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
+                  float* out, const RayOptions& options = {}) noexcept;
+
+}  // namespace mtsm

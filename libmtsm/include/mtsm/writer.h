@@ -1,0 +1,39 @@
+// writer.h - a map into a file.
+//
+//     mtsm::Status done = mtsm::writeMap(map, "key.mtsm");
+//     if (!done) return complain(done.error());
+//
+// The file appears under its name complete or not at all: bytes go to a temporary file in
+// the same folder, are synced to the disk and renamed over the target; on any failure the
+// temporary is removed and what was there stays. The bytes depend on the map and the
+// options alone, never on the number of threads.
+#pragma once
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "mtsm/map.h"
+#include "mtsm/result.h"
+
+namespace mtsm {
+
+enum class Codec : std::uint32_t { none = 0, zstd = 1 };
+
+struct WriteOptions {
+    Codec codec = Codec::zstd;  ///< a plane that it does not make smaller is stored raw
+    int level = 3;              ///< zstd's, 1..19
+    /// Called now and then from one thread at a time with the fraction done, 0..1;
+    /// returning false stops the writing (ErrorCode::cancelled).
+    std::function<bool(double)> progress;
+};
+
+/// Errors: io (names the path and the system's reason), badArgument, cancelled.
+Status writeMap(const ShadowMap& map, const std::string& path,
+                const WriteOptions& options = {});
+
+/// The same bytes in memory.
+Result<std::vector<std::uint8_t>> encodeMap(const ShadowMap& map,
+                                            const WriteOptions& options = {});
+
+}  // namespace mtsm

@@ -1,0 +1,106 @@
+// map_fixture.h - small maps for the tests of every module.
+#pragma once
+#include <cmath>
+#include <cstdint>
+#include <random>
+#include <stdexcept>
+#include <vector>
+
+#include "mtsm/map.h"
+
+namespace mtsm::test {
+
+inline MapInfo plainInfo(std::uint32_t width, std::uint32_t height,
+                         std::uint32_t tileSize) {
+    MapInfo info;
+    info.width = width;
+    info.height = height;
+    info.tileSize = tileSize;
+    info.software = "mtsm tests";
+    return info;
+}
+
+/// The eye at the origin looking along -z of the world, 90 degrees across the width.
+inline Projection plainProjection(std::uint32_t width, std::uint32_t height) {
+    Projection p;
+    p.scale = {width / 2.0, width / -2.0};
+    p.offset = {width / 2.0, height / 2.0};
+    return p;
+}
+
+struct NoisySpec {
+    std::uint32_t width = 16, height = 16, tileSize = 8, faces = 1, channels = 1;
+    bool opaque = false;           ///< no v and n planes
+    std::uint32_t mostLayers = 5;  ///< per pixel
+    double emptyTiles = 0.2;       ///< share of tiles without a layer
+    std::uint64_t seed = 1;
+};
+
+/// A map with every kind of layer in it, resets included; the same for the same spec.
+inline ShadowMap noisyMap(const NoisySpec& spec) {
+    std::mt19937_64 random(spec.seed);
+    const auto unit = [&] { return double(random() >> 11) * 0x1p-53; };
+    MapInfo info = plainInfo(spec.width, spec.height, spec.tileSize);
+    info.channels = spec.channels;
+    info.light.shape = LightShape::disk;
+    info.light.radius = unit();
+    info.light.position = {unit(), -unit(), 1e7 * unit()};
+    info.bias = float(unit());
+    info.maxLayers = spec.mostLayers;
+    info.resets = kAllResets;
+    info.settings = "noise \"quoted\"\n\xc3\xa9";
+    info.attributes = {{"shot", std::string("sq010")},
+                       {"frame", std::int64_t(-7)},
+                       {"grade", std::vector<double>{0.5, -1e300, NAN}}};
+    const std::uint32_t tilesX = (spec.width + spec.tileSize - 1) / spec.tileSize;
+    const std::uint32_t tilesY = (spec.height + spec.tileSize - 1) / spec.tileSize;
+    std::vector<MapFace> faces(spec.faces);
+    for (std::uint32_t f = 0; f < spec.faces; ++f) {
+        faces[f].projection = plainProjection(spec.width, spec.height);
+        faces[f].projection.eye = {double(f), 2.5, -1e7};
+        faces[f].projection.near = 0.125;
+        for (std::uint32_t ty = 0; ty < tilesY; ++ty) {
+            for (std::uint32_t tx = 0; tx < tilesX; ++tx) {
+                Tile t;
+                if (unit() >= spec.emptyTiles) {
+                    const std::uint32_t w =
+                        std::min(spec.tileSize, spec.width - tx * spec.tileSize);
+                    const std::uint32_t h =
+                        std::min(spec.tileSize, spec.height - ty * spec.tileSize);
+                    std::vector<std::vector<float>> v(spec.channels);
+                    t.begin.push_back(0);
+                    for (std::uint32_t p = 0; p < w * h; ++p) {
+                        const auto count = std::uint32_t(unit() * (spec.mostLayers + 1));
+                        float z = float(0.5 + 10 * unit());
+                        std::vector<float> vis(spec.channels, 1.0f);
+                        for (std::uint32_t i = 0; i < count; ++i) {
+                            z += unit() < 0.1 ? 0.0f : float(unit());
+                            t.z.push_back(z);
+                            if (spec.opaque) continue;
+                            t.n.push_back(1 +
+                                          std::uint32_t(unit() < 0.5 ? 0 : 1e5 * unit()));
+                            const bool stop = unit() < 0.25;
+                            bool dark = true;
+                            for (std::uint32_t c = 0; c < spec.channels; ++c) {
+                                vis[c] = stop ? 0.0f : vis[c] * float(unit());
+                                v[c].push_back(vis[c]);
+                                dark = dark && vis[c] == 0.0f;
+                            }
+                            if (dark) vis.assign(spec.channels, 1.0f);
+                        }
+                        t.begin.push_back(std::uint32_t(t.z.size()));
+                    }
+                    for (const auto& plane : v)
+                        t.v.insert(t.v.end(), plane.begin(), plane.end());
+                    if (t.z.empty()) t = Tile{};
+                }
+                faces[f].tiles.push_back(std::move(t));
+            }
+        }
+    }
+    auto map = ShadowMap::create(info, std::move(faces));
+    if (!map) throw std::runtime_error(map.error().message);
+    return *std::move(map);
+}
+
+}  // namespace mtsm::test
