@@ -2,6 +2,7 @@
 #pragma once
 #include <cmath>
 #include <cstdint>
+#include <functional>
 #include <random>
 #include <stdexcept>
 #include <vector>
@@ -99,6 +100,46 @@ inline ShadowMap noisyMap(const NoisySpec& spec) {
         }
     }
     auto map = ShadowMap::create(info, std::move(faces));
+    if (!map) throw std::runtime_error(map.error().message);
+    return *std::move(map);
+}
+
+/// One layer of a pixel as a test writes it down.
+struct TestLayer {
+    float z = 1.0f, v = 0.0f;
+    std::uint32_t n = 1;
+};
+
+/// A one-channel, one-face map whose pixel (x, y) has the layers that `pixel(x, y)`
+/// returns.
+inline ShadowMap mapOf(
+    MapInfo info, const Projection& projection,
+    const std::function<std::vector<TestLayer>(std::uint32_t, std::uint32_t)>& pixel) {
+    const std::uint32_t tilesX = (info.width + info.tileSize - 1) / info.tileSize;
+    const std::uint32_t tilesY = (info.height + info.tileSize - 1) / info.tileSize;
+    std::vector<MapFace> faces(1);
+    faces[0].projection = projection;
+    for (std::uint32_t ty = 0; ty < tilesY; ++ty) {
+        for (std::uint32_t tx = 0; tx < tilesX; ++tx) {
+            Tile t;
+            t.begin.push_back(0);
+            const std::uint32_t x0 = tx * info.tileSize, y0 = ty * info.tileSize;
+            for (std::uint32_t y = y0; y < std::min(info.height, y0 + info.tileSize);
+                 ++y) {
+                for (std::uint32_t x = x0; x < std::min(info.width, x0 + info.tileSize);
+                     ++x) {
+                    for (const TestLayer& layer : pixel(x, y)) {
+                        t.z.push_back(layer.z);
+                        t.v.push_back(layer.v);
+                        t.n.push_back(layer.n);
+                    }
+                    t.begin.push_back(std::uint32_t(t.z.size()));
+                }
+            }
+            faces[0].tiles.push_back(std::move(t));
+        }
+    }
+    auto map = ShadowMap::create(std::move(info), std::move(faces));
     if (!map) throw std::runtime_error(map.error().message);
     return *std::move(map);
 }

@@ -1,0 +1,63 @@
+// sample.h - points on a light, as a shading point sees them.
+#pragma once
+#include <glm/vec2.hpp>
+#include <glm/vec3.hpp>
+
+#include "mtsm/light.h"
+
+namespace mtsm::light {
+
+/// The unit disk from the unit square, areas and neighbourhoods kept [Shirley97].
+[[nodiscard]] glm::dvec2 sampleDisk(glm::dvec2 u) noexcept;
+
+/// A unit vector within the cap around +z that is `capHeight` high (0..2), uniform in
+/// area.
+[[nodiscard]] glm::dvec3 sampleCap(glm::dvec2 u, double capHeight) noexcept;
+
+/// Unit vectors x and y that form a right-handed frame with the unit vector n.
+struct Frame {
+    glm::dvec3 x, y;
+};
+[[nodiscard]] Frame makeFrame(glm::dvec3 n) noexcept;
+/// The frame that a rect light's size is measured in: y along `light.up`, as far as that
+/// is across the light's direction.
+[[nodiscard]] Frame rectFrame(const AreaLight& light) noexcept;
+
+/// One ray's worth of light. From the shading point it goes along `delta`: to its end,
+/// or, if `endless`, on for ever in that (unit) direction.
+struct LightSample {
+    glm::dvec3 delta{0.0};
+    bool endless = false;
+    /// Irradiance at a surface that faces the sample, up to a factor common to all
+    /// samples of the light: cosine at the light over squared distance, times the
+    /// density's inverse.
+    double weight = 1.0;
+};
+
+/// An AreaLight ready to be sampled: axes made orthogonal and relative to `origin`.
+class LightSampler {
+  public:
+    /// `origin` is what points are relative to in the calls below (the map's eye).
+    LightSampler(const AreaLight& light, glm::dvec3 origin) noexcept;
+
+    /// Does nothing but one sample matter? True for points and for lights of no size.
+    [[nodiscard]] bool isPoint() const noexcept { return isPoint_; }
+    /// On or behind the plane of a light that shines to one side only.
+    [[nodiscard]] bool isBehind(glm::dvec3 p) const noexcept;
+    /// Uniform in area over the light (sphere: over the cap that p sees; sun: over the
+    /// solid angle) for u uniform in the unit square.
+    [[nodiscard]] LightSample sample(glm::dvec3 p, glm::dvec2 u) const noexcept;
+    /// Relative to `origin`; not for a sun.
+    [[nodiscard]] glm::dvec3 centre() const noexcept { return centre_; }
+    [[nodiscard]] LightShape shape() const noexcept { return shape_; }
+
+  private:
+    LightShape shape_;
+    bool isPoint_ = false, oneSided_ = false;
+    glm::dvec3 centre_, normal_;  // normal_: unit; a sun's points towards the sun
+    glm::dvec3 axisX_, axisY_;    // scaled by radius or half size (disk, rect), else unit
+    double radius_ = 0.0;
+    double capHeight_ = 0.0;  // sun
+};
+
+}  // namespace mtsm::light

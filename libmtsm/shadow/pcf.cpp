@@ -1,0 +1,54 @@
+// Percentage-closer filtering of the map, for small lights [Xie07, sec. 3].
+//
+// The paper takes samples within a filter around the point's own pixel, of size
+//     resolution * light_radius * (1 / z_min - 1 / z) (eq. 1)
+// which is how far the rays to a light at the eye spread until they reach z_min, the
+// smallest depth of the map. Here the light may lie in front of the eye (push-back, eq.
+// 4) or be a sun, so each sample is taken where its own ray crosses z_min: for a light at
+// the eye that is eq. 1, and otherwise the filter is as large as the light looks from the
+// point, and moves with it.
+#include <algorithm>
+#include <cmath>
+
+#include "shadow/query.h"
+
+namespace mtsm::shadow {
+
+float Query::filtered(const Receiver& receiver,
+                      const light::LightSample& sample) const noexcept {
+    for (std::uint32_t face = 0; face < map_.faceCount(); ++face) {
+        const ZRange range = map_.zRange(face);
+        if (range.empty()) continue;
+        const Projection& p = map_.projection(face);
+        const glm::dvec3 point = p.lightFromWorldDirection(receiver.point);
+        const glm::dvec3 delta = p.lightFromWorldDirection(sample.delta);
+        if (!(point.z > range.min) || !(delta.z < 0.0))
+            continue;  // nothing is in front of it
+        const double t = (range.min - point.z) / delta.z;
+        const glm::dvec2 r =
+            p.rasterFromLight({point.x + t * delta.x, point.y + t * delta.y, range.min});
+        if (!(r.x >= 0.0 && r.y >= 0.0 && r.x < map_.info().width &&
+              r.y < map_.info().height))
+            continue;
+        const auto x = std::uint32_t(r.x), y = std::uint32_t(r.y);
+
+        double low = 0.0, high = point.z - bias_;
+        if (receiver.hasNormal) {
+            high = point.z;
+            trace::clipToPlane(p, receiver.plane, x, y, low, high);
+            if (!(low <= high)) continue;
+        }
+        trace::TraceOptions options;
+        options.threshold = options_.threshold;
+        options.attenuation = options_.attenuation;
+        std::array<double, 3> visible{1.0, 1.0, 1.0};
+        if (trace::attenuate(map_.pixel(face, x, y), map_.info().channels, low, high,
+                             options, visible))
+            return 0.0f;
+        return mean({float(visible[0]), float(visible[1]), float(visible[2])},
+                    map_.info().channels);
+    }
+    return 1.0f;
+}
+
+}  // namespace mtsm::shadow

@@ -1,0 +1,122 @@
+// One point's shadow factor: the mean over points on the light [Xie07, sec. 5.2], by
+// rays.
+#include <algorithm>
+#include <cmath>
+#include <glm/geometric.hpp>
+
+#include "shadow/query.h"
+
+namespace mtsm::shadow {
+namespace {
+
+bool finite(glm::dvec3 p) {
+    return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z);
+}
+
+}  // namespace
+
+float mean(const trace::ChannelVisibility& v, std::uint32_t channels) noexcept {
+    return channels == 3 ? (v[0] + v[1] + v[2]) / 3.0f : v[0];
+}
+
+Query::Query(const ShadowMap& map, const AreaLight& light,
+             const ShadowOptions& options) noexcept
+    : map_(map), light_(light, map.projection(0).eye), options_(options) {
+    bias_ = options.bias >= 0.0f && std::isfinite(options.bias) ? options.bias
+                                                                : map.info().bias;
+    samples_ = light_.isPoint()
+                   ? 1u
+                   : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
+}
+
+float Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
+                          QueryStats& stats) const noexcept {
+    ++stats.points;
+    if (!finite(point)) {
+        ++stats.notFinite;
+        return 0.0f;
+    }
+    Receiver receiver;
+    receiver.point = point - map_.projection(0).eye;
+    if (light_.isBehind(receiver.point)) {
+        ++stats.behindLight;
+        return 0.0f;
+    }
+    if (map_.info().castersClipped && mayBeTruncated(receiver.point))
+        ++stats.mayBeTruncated;
+
+    const double length = glm::length(normal);
+    if (length > 0.0 && std::isfinite(length)) {
+        receiver.hasNormal = true;
+        receiver.normal = normal / length;
+        const double z = glm::dot(map_.projection(0).forward, receiver.point);
+        receiver.plane = {receiver.point, receiver.normal,
+                          kPlaneHeight * map_.projection(0).pixelFootprint(std::abs(z))};
+    }
+    return blocked(receiver, base::pointKey(point, options_.seed), stats);
+}
+
+/// One minus the weighted mean of the visibility over the light.
+float Query::blocked(const Receiver& receiver, std::uint64_t key,
+                     QueryStats& stats) const noexcept {
+    const base::SquareSequence sequence(key);
+    const bool cosine = options_.weight == Weight::cosine && receiver.hasNormal;
+    double visible = 0.0, total = 0.0;
+    for (std::uint32_t i = 0; i < samples_; ++i) {
+        const glm::dvec2 u = light_.isPoint() ? glm::dvec2(0.5) : sequence(i);
+        const light::LightSample sample = light_.sample(receiver.point, u);
+        const double towards =
+            receiver.hasNormal ? glm::dot(sample.delta, receiver.normal) : 1.0;
+        double weight = 1.0;
+        if (cosine)
+            weight = std::max(0.0, towards / glm::length(sample.delta)) * sample.weight;
+        // Not a comparison that NaN could pass: a sample at the receiver itself has no
+        // direction.
+        if (!(weight >= 0.0)) weight = 0.0;
+        total += weight;
+        if (!(towards > 0.0) || weight == 0.0) continue;  // below the horizon: blocked
+        ++stats.rays;
+        visible +=
+            weight * (options_.method == ShadowMethod::pcf ? filtered(receiver, sample)
+                                                           : traced(receiver, sample));
+    }
+    if (!(total > 0.0)) return 1.0f;
+    return static_cast<float>(std::clamp(1.0 - visible / total, 0.0, 1.0));
+}
+
+float Query::traced(const Receiver& receiver,
+                    const light::LightSample& sample) const noexcept {
+    trace::Ray ray;
+    ray.origin = receiver.point;
+    ray.delta = sample.delta;
+    if (sample.endless) ray.tEnd = HUGE_VAL;
+    trace::TraceOptions options;
+    options.threshold = options_.threshold;
+    options.attenuation = options_.attenuation;
+    if (receiver.hasNormal) {
+        options.plane = &receiver.plane;
+    } else {
+        const double length = glm::length(sample.delta);
+        if (!(length > 0.0)) return 1.0f;
+        ray.tBegin = kStartBiases * bias_ / length;
+        options.bias = bias_;
+    }
+    return mean(trace::traceRay(map_, ray, options), map_.info().channels);
+}
+
+/// Is the point outside the view from the light's centre, with the window that the map
+/// has?
+bool Query::mayBeTruncated(glm::dvec3 point) const noexcept {
+    if (map_.faceCount() > 1) return false;
+    const Projection& p = map_.projection(0);
+    glm::dvec3 q = p.lightFromWorldDirection(point);
+    if (p.kind == ProjectionKind::perspective) {
+        q -= p.lightFromWorldDirection(light_.centre());
+        if (!(q.z > 0.0)) return true;
+    }
+    const glm::dvec2 r = p.rasterFromLight(q);
+    return !(r.x >= 0.0 && r.y >= 0.0 && r.x <= map_.info().width &&
+             r.y <= map_.info().height);
+}
+
+}  // namespace mtsm::shadow

@@ -1,0 +1,100 @@
+// shadow.h: single queries, batches, rays.
+#include "mtsm/shadow.h"
+
+#include <tbb/combinable.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <cmath>
+#include <glm/geometric.hpp>
+
+#include "base/message.h"
+#include "shadow/query.h"
+
+namespace mtsm {
+namespace {
+
+using base::makeError;
+
+constexpr std::size_t kPointsPerTask = 256;
+
+double biasOr(float asked, const ShadowMap& map) {
+    return asked >= 0.0f && std::isfinite(asked) ? asked : map.info().bias;
+}
+
+void add(QueryStats& total, const QueryStats& part) {
+    total.points += part.points;
+    total.rays += part.rays;
+    total.notFinite += part.notFinite;
+    total.behindLight += part.behindLight;
+    total.mayBeTruncated += part.mayBeTruncated;
+}
+
+}  // namespace
+
+Status checkQuery(const ShadowMap& map, const AreaLight& light,
+                  const ShadowOptions& options) {
+    if (options.samples < 1 || options.samples > kMaxSamples)
+        return makeError(ErrorCode::badArgument, options.samples,
+                         " samples: must be 1 to ", kMaxSamples);
+    if (!std::isfinite(options.bias))
+        return makeError(ErrorCode::badArgument, "bias ", options.bias, " is not finite");
+    if (!(options.threshold >= 0.0f && options.threshold < 1.0f))
+        return makeError(ErrorCode::badArgument, "threshold ", options.threshold,
+                         " must be in [0, 1)");
+    return lightFits(light, map.info().light);
+}
+
+float shadowFactor(const ShadowMap& map, const AreaLight& light, glm::dvec3 point,
+                   glm::dvec3 normal, const ShadowOptions& options) noexcept {
+    QueryStats stats;
+    return shadow::Query(map, light, options).shadowFactor(point, normal, stats);
+}
+
+void shadowFactors(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
+                   const glm::dvec3* normals, std::size_t count, float* out,
+                   const ShadowOptions& options, QueryStats* stats) noexcept {
+    const shadow::Query query(map, light, options);
+    tbb::combinable<QueryStats> parts;
+    tbb::parallel_for(
+        tbb::blocked_range<std::size_t>(0, count, kPointsPerTask),
+        [&](const tbb::blocked_range<std::size_t>& range) {
+            QueryStats& part = parts.local();
+            for (std::size_t i = range.begin(); i < range.end(); ++i)
+                out[i] = query.shadowFactor(points[i],
+                                            normals ? normals[i] : glm::dvec3(0.0), part);
+        },
+        tbb::simple_partitioner{});
+    if (stats) parts.combine_each([&](const QueryStats& part) { add(*stats, part); });
+}
+
+float visibility(const ShadowMap& map, const ShadowRay& ray,
+                 const RayOptions& options) noexcept {
+    const glm::dvec3 origin = ray.origin - map.projection(0).eye;
+    const double sum =
+        glm::dot(origin, glm::dvec3(1.0)) + glm::dot(ray.direction, glm::dvec3(1.0));
+    if (!std::isfinite(sum) || !(ray.length > 0.0) || !(glm::length(ray.direction) > 0.0))
+        return 1.0f;
+    trace::Ray traced;
+    traced.origin = origin;
+    traced.delta = ray.direction;
+    traced.tEnd = ray.length;
+    trace::TraceOptions traceOptions;
+    traceOptions.bias = biasOr(options.bias, map);
+    traceOptions.threshold = options.threshold;
+    traceOptions.attenuation = options.attenuation;
+    return shadow::mean(trace::traceRay(map, traced, traceOptions), map.info().channels);
+}
+
+void visibilities(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
+                  float* out, const RayOptions& options) noexcept {
+    tbb::parallel_for(
+        tbb::blocked_range<std::size_t>(0, count, kPointsPerTask),
+        [&](const tbb::blocked_range<std::size_t>& range) {
+            for (std::size_t i = range.begin(); i < range.end(); ++i)
+                out[i] = visibility(map, rays[i], options);
+        },
+        tbb::simple_partitioner{});
+}
+
+}  // namespace mtsm

@@ -1,0 +1,280 @@
+// The traversal against a brute-force walk over every pixel, and the cases with a known
+// answer.
+#include <algorithm>
+#include <catch2/catch.hpp>
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <random>
+
+#include "map_fixture.h"
+#include "trace/traverse.h"
+
+using namespace mtsm;
+using namespace mtsm::trace;
+using test::mapOf;
+using test::TestLayer;
+
+namespace {
+
+/// The definition, without hierarchy or order: each pixel's column is clipped against the
+/// ray by its four sides on its own, in long double.
+double bruteForce(const ShadowMap& map, const Ray& ray, const TraceOptions& options) {
+    using L = long double;
+    const Projection& p = map.projection(0);
+    const glm::dvec3 o = p.lightFromWorldDirection(ray.origin);
+    const glm::dvec3 d = p.lightFromWorldDirection(ray.delta);
+    const bool perspective = p.kind == ProjectionKind::perspective;
+    L visible = 1;
+    for (std::uint32_t y = 0; y < map.info().height; ++y) {
+        for (std::uint32_t x = 0; x < map.info().width; ++x) {
+            L t0 = ray.tBegin, t1 = ray.tEnd;
+            const auto side = [&](L a, L b) {
+                if (b > 0) t0 = std::max(t0, -a / b);
+                if (b < 0) t1 = std::min(t1, -a / b);
+                if (b == 0 && a < 0) t1 = t0 - 1;
+            };
+            const L ha = perspective ? o.z : 1, hb = perspective ? d.z : 0;
+            const auto axis = [&](L scale, L offset, L oa, L da, L low, L high) {
+                side(scale * oa + (offset - low) * ha, scale * da + (offset - low) * hb);
+                side(-scale * oa - (offset - high) * ha,
+                     -scale * da - (offset - high) * hb);
+            };
+            axis(p.scale.x, p.offset.x, o.x, d.x, x, x + 1);
+            axis(p.scale.y, p.offset.y, o.y, d.y, y, y + 1);
+            side(ha - 1e-9L, hb);  // in front of the eye
+            if (!(t0 < t1)) continue;
+            const L za = o.z + d.z * t0, zb = o.z + d.z * t1;
+            const L low = std::min(za, zb) - options.bias,
+                    high = std::max(za, zb) + options.bias;
+            const PixelLayers layers = map.pixel(0, x, y);
+            L vBefore = 1;
+            for (std::uint32_t i = 0; i < layers.count; ++i) {
+                const L v = layers.v ? layers.v[i] : 0;
+                const std::uint32_t n = layers.n ? layers.n[i] : 1;
+                const L from = i ? layers.z[i - 1] : layers.z[0];
+                int met = 0;
+                for (std::uint32_t j = 1; j <= n; ++j) {
+                    const L z =
+                        j == n ? L(layers.z[i]) : from + j * (layers.z[i] - from) / n;
+                    met += z >= low && z <= high;
+                }
+                if (met && options.attenuation == Attenuation::multiply)
+                    visible *= std::pow(v / vBefore, L(met) / n);
+                if (met && options.attenuation == Attenuation::subtract)
+                    visible = std::max(L(0), visible - (vBefore - v) * met / n);
+                vBefore = v == 0 ? 1 : v;
+            }
+        }
+    }
+    return double(visible);
+}
+
+Projection orthographic(std::uint32_t width, std::uint32_t height) {
+    Projection p = test::plainProjection(width, height);
+    p.kind = ProjectionKind::orthographic;
+    p.scale = {width / 20.0, height / -20.0};
+    return p;
+}
+
+}  // namespace
+
+TEST_CASE("a traced ray meets what a walk over all pixels meets", "[trace][exact]") {
+    std::mt19937_64 random(11);
+    const auto unit = [&] { return double(random() >> 11) * 0x1p-53; };
+    const auto layers = [&](std::uint32_t, std::uint32_t) {
+        std::vector<TestLayer> pixel;
+        float z = float(2 + 6 * unit()), v = 1.0f;
+        for (int i = int(unit() * 5); i > 0; --i) {
+            v *= float(0.5 + 0.5 * unit());
+            if (unit() < 0.1) v = 0.0f;
+            const std::uint32_t n = i % 2 && v > 0.0f ? 1 + std::uint32_t(unit() * 6) : 1;
+            pixel.push_back({z, v, n});
+            z += float(unit());
+            if (v == 0.0f) v = 1.0f;
+        }
+        return pixel;
+    };
+    for (const bool perspective : {true, false}) {
+        MapInfo info = test::plainInfo(37, 23, 8);
+        const auto projection =
+            perspective ? test::plainProjection(37, 23) : orthographic(37, 23);
+        const ShadowMap map = mapOf(info, projection, layers);
+        for (int i = 0; i < 3000; ++i) {
+            Ray ray;
+            // World -z is light +z: depths 1..12 and a light near the eye.
+            ray.origin = {20 * unit() - 10, 20 * unit() - 10, -12 * unit()};
+            ray.delta = glm::dvec3(4 * unit() - 2, 4 * unit() - 2, -unit()) - ray.origin;
+            TraceOptions options;
+            options.bias = i % 3 == 0 ? 0.0 : 0.2 * unit();
+            options.attenuation = i % 2 ? Attenuation::multiply : Attenuation::subtract;
+            const double expected = bruteForce(map, ray, options);
+            INFO("ray " << i << (perspective ? " perspective" : " orthographic"));
+            CHECK(traceRay(map, ray, options)[0] == Approx(expected).margin(1e-6));
+        }
+    }
+}
+
+TEST_CASE(
+    "rays along pixel edges, through corners and parallel to the image are met once",
+    "[trace][exact]") {
+    // Half-transparent everywhere at depth 4: any ray that crosses that depth loses half,
+    // once.
+    MapInfo info = test::plainInfo(16, 16, 8);
+    const ShadowMap map = mapOf(info, test::plainProjection(16, 16), [](auto, auto) {
+        return std::vector<TestLayer>{{4.0f, 0.5f, 1}};
+    });
+    const auto trace = [&](glm::dvec3 from, glm::dvec3 to, double bias = 0.0) {
+        TraceOptions options;
+        options.bias = bias;
+        Ray ray;
+        ray.origin = from;
+        ray.delta = to - from;
+        return traceRay(map, ray, options)[0];
+    };
+    CHECK(trace({0, 0, -8}, {0, 0, -1}) == 0.5f);  // through a corner, along the axis
+    CHECK(trace({0.0, 1.0, -8}, {0.0, 0.125, -1}) ==
+          0.5f);  // along an edge: x = 8 px throughout
+    CHECK(trace({1, 1, -8}, {0.125, 0.125, -1}) == 0.5f);  // a centre ray through corners
+    CHECK(trace({-3, -3, -8}, {0.5, 0.5, -1}) == 0.5f);    // diagonally across corners
+    CHECK(trace({3, 0.2, -6}, {-0.5, 0.2, -1}) == 0.5f);
+    // Along depth 4 itself it meets the layer of every pixel it crosses: 16 of them.
+    CHECK(trace({-5, 0.3, -4}, {5, 0.3, -4}) == Approx(std::pow(0.5, 16)).epsilon(1e-5));
+    // Beside depth 4 it meets none, unless the bias reaches.
+    CHECK(trace({-5, 0.3, -3.9}, {5, 0.3, -3.9}) == 1.0f);
+    CHECK(trace({-1, 0.1, -3.9}, {-0.9, 0.1, -3.9}, 0.11) < 1.0f);
+    // Ends short of the layer, starts beyond it, misses the window, has no length.
+    CHECK(trace({0.1, 0.2, -8}, {0.1, 0.2, -4.01}) == 1.0f);
+    CHECK(trace({0.1, 0.2, -3.99}, {0, 0, -1}) == 1.0f);
+    CHECK(trace({20, 0, -8}, {9, 0, -3}) == 1.0f);
+    CHECK(trace({0, 0, -4}, {0, 0, -4}) == 1.0f);
+    // From behind the eye and from in front of it, endless rays.
+    CHECK(trace({0.3, 0.1, 5}, {0.1, 0.2, -8}) == 0.5f);
+    Ray endless;
+    endless.origin = {0.1, 0.1, -8};
+    endless.delta = {0, 0, 1};
+    endless.tEnd = HUGE_VAL;
+    CHECK(traceRay(map, endless, {})[0] == 0.5f);
+    endless.delta = {0, 0, -1};
+    CHECK(traceRay(map, endless, {})[0] == 1.0f);
+    endless.delta = {1, 0, 0};
+    CHECK(traceRay(map, endless, {})[0] == 1.0f);
+}
+
+TEST_CASE("parallel sheets of opacity a leave (1 - a)^N to straight and slanted rays",
+          "[trace][exact]") {
+    for (float a : {0.1f, 0.5f, 0.9f, 1.0f}) {
+        MapInfo info = test::plainInfo(32, 32, 16);
+        const ShadowMap map = mapOf(info, test::plainProjection(32, 32), [&](auto, auto) {
+            std::vector<TestLayer> sheets;
+            double v = 1.0;
+            for (int i = 0; i < 7; ++i) {
+                v *= 1.0 - double(a);
+                sheets.push_back({2.0f + float(i), float(v), 1});
+                if (v == 0.0) v = 1.0;
+            }
+            return sheets;
+        });
+        TraceOptions options;
+        for (double slant : {0.0, 0.3, 2.0}) {
+            Ray ray;
+            ray.origin = {1 + slant * 3, 0.5, -8.5};
+            ray.delta = glm::dvec3(0.05 - slant * 0.5, 0.1, -1) - ray.origin;
+            const double expected = std::pow(1.0 - double(a), 7);
+            CHECK(traceRay(map, ray, options)[0] ==
+                  Approx(expected).epsilon(1e-5).margin(1e-9));
+        }
+    }
+}
+
+TEST_CASE("three channels fade apart", "[trace]") {
+    MapInfo info = test::plainInfo(8, 8, 8);
+    info.channels = 3;
+    std::vector<MapFace> faces(1);
+    faces[0].projection = test::plainProjection(8, 8);
+    Tile t;
+    for (std::uint32_t p = 0; p <= 64; ++p)
+        t.begin.push_back(p);
+    t.z.assign(64, 3.0f);
+    for (float v : {0.75f, 0.5f, 0.0f})
+        t.v.insert(t.v.end(), 64, v);
+    faces[0].tiles.push_back(t);
+    auto map = ShadowMap::create(info, faces);
+    REQUIRE(map);
+    Ray ray;
+    ray.origin = {0.5, 0.5, -5};
+    ray.delta = {0, 0, 4};
+    CHECK(traceRay(*map, ray, {}) == ChannelVisibility{0.75f, 0.5f, 0.0f});
+}
+
+TEST_CASE("what fell to the threshold is dark", "[trace]") {
+    const ShadowMap map =
+        mapOf(test::plainInfo(8, 8, 8), test::plainProjection(8, 8), [](auto, auto) {
+            return std::vector<TestLayer>{{3.0f, 0.25f, 1}};
+        });
+    Ray ray;
+    ray.origin = {0.5, 0.5, -5};
+    ray.delta = {0, 0, 4};
+    TraceOptions options;
+    options.threshold = 0.2;
+    CHECK(traceRay(map, ray, options)[0] == 0.25f);
+    options.threshold = 0.25;
+    CHECK(traceRay(map, ray, options)[0] == 0.0f);
+}
+
+TEST_CASE("layers on the receiver's tangent plane do not count, those above it do",
+          "[trace][exact]") {
+    // The map holds the slanted plane z = 4 + x / 2 (light space) and a sheet at z = 2.
+    MapInfo info = test::plainInfo(64, 64, 16);
+    const Projection p = test::plainProjection(64, 64);
+    const glm::dvec3 n =
+        glm::normalize(glm::dvec3(0.5, 0, -1));  // light space, towards the eye
+    const glm::dvec3 onPlane(0, 0, 4);
+    const auto depth = [&](std::uint32_t x, std::uint32_t y) {
+        const glm::dvec3 ray = p.lightFromRaster({x + 0.5, y + 0.5}, 1.0);
+        return float(glm::dot(n, onPlane) / glm::dot(n, ray));
+    };
+    for (const bool sheet : {false, true}) {
+        const ShadowMap map = mapOf(info, p, [&](std::uint32_t x, std::uint32_t y) {
+            std::vector<TestLayer> layers;
+            if (sheet) layers.push_back({2.0f, 0.0f, 1});
+            layers.push_back({depth(x, y), 0.0f, 1});
+            return layers;
+        });
+        Ray ray;
+        ray.origin = p.worldFromLight({0.3, 0.2, 4.15});
+        ray.delta = p.worldFromLight({0.9, 0.1, 0.5}) - ray.origin;
+        const ReceiverPlane plane{ray.origin, p.worldFromLight(n), 0.01};
+        TraceOptions options;
+        options.plane = &plane;
+        CHECK(traceRay(map, ray, options)[0] == (sheet ? 0.0f : 1.0f));
+    }
+}
+
+TEST_CASE("nothing that a ray can be gives NaN or does not end", "[trace][extreme]") {
+    const ShadowMap map =
+        mapOf(test::plainInfo(16, 16, 8), test::plainProjection(16, 16),
+              [](std::uint32_t x, std::uint32_t y) {
+                  return std::vector<TestLayer>{
+                      {1e-6f, 0.9f, 1}, {float(x + y + 1), 0.5f, 3}, {1e9f, 0.1f, 1}};
+              });
+    const double values[] = {0.0, 1e-300, 1e-6, 1.0, 1e9, 1e150, 1e300};
+    for (double a : values) {
+        for (double b : values) {
+            for (double c : values) {
+                for (int signs = 0; signs < 8; ++signs) {
+                    Ray ray;
+                    ray.origin = {a, -b, signs & 1 ? c : -c};
+                    ray.delta = {signs & 2 ? c : -c, a, signs & 4 ? b : -b};
+                    if (ray.delta == glm::dvec3(0.0)) continue;
+                    for (double end : {1.0, HUGE_VAL}) {
+                        ray.tEnd = end;
+                        TraceOptions options;
+                        options.bias = a < 1e10 ? a : 0.0;
+                        const float v = traceRay(map, ray, options)[0];
+                        REQUIRE((v >= 0.0f && v <= 1.0f));
+                    }
+                }
+            }
+        }
+    }
+}
