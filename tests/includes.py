@@ -1,0 +1,76 @@
+#!/usr/bin/env python3
+"""Checks who includes whom: `includes.py SOURCE_DIR` lists what strays and fails if anything does.
+
+The table is the architecture: a module may include the modules listed for it, its own files and
+the public headers in mtsm/. Tools and samples include public headers only.
+"""
+import pathlib
+import re
+import sys
+
+MAY_INCLUDE = {
+    "base": set(),
+    "map": {"base"},
+    "light": {"base"},
+    "scene": {"base"},
+    "raster": {"base", "map", "scene"},
+    "format": {"base", "map"},
+    "trace": {"base", "map"},
+    "shadow": {"base", "map", "light", "trace"},
+    "bake": {"base", "map", "scene", "raster"},
+    "io": {"base"},
+    "baseline": {"base", "map", "light", "trace", "shadow", "scene", "raster"},
+}
+# Third-party headers that a module may use, by the start of their path.
+HEAVY = {
+    "assimp": {"scene"},
+    "Imf": {"io"},
+    "OpenEXR": {"io"},
+    "Imath": {"io"},
+    "png.h": {"io"},
+    "embree3": {"baseline"},
+    "zstd": {"format"},
+    "xxhash": {"base"},
+    "CLI": set(),
+    "nlohmann": set(),
+}
+
+
+def includes(path):
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        found = re.match(r'\s*#\s*include\s+["<]([^">]+)[">]', line)
+        if found:
+            yield number, found.group(1)
+
+
+def main():
+    root = pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else ".")
+    strays = []
+    for module, allowed in MAY_INCLUDE.items():
+        for path in sorted((root / "libmtsm" / module).rglob("*")):
+            if path.suffix not in (".h", ".cpp"):
+                continue
+            for number, name in includes(path):
+                folder = name.split("/")[0]
+                if folder in MAY_INCLUDE and folder != module and folder not in allowed:
+                    strays.append(f"{path}:{number}: {module} must not include {name}")
+                for start, users in HEAVY.items():
+                    if name.startswith(start) and module not in users:
+                        strays.append(f"{path}:{number}: {module} must not use {name}")
+    for folder in ("tools", "samples"):
+        for path in sorted((root / folder).rglob("*")):
+            if path.suffix not in (".h", ".cpp"):
+                continue
+            for number, name in includes(path):
+                if name.split("/")[0] in MAY_INCLUDE:
+                    strays.append(f"{path}:{number}: {folder} includes public headers only, not {name}")
+    for path in sorted((root / "libmtsm/include/mtsm").glob("*.h")):
+        for number, name in includes(path):
+            if "/" in name and name.split("/")[0] not in ("mtsm", "glm"):
+                strays.append(f"{path}:{number}: a public header must not include {name}")
+    print("\n".join(strays) if strays else "no include strays")
+    return 1 if strays else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,18 @@
+#!/usr/bin/env bash
+# Installs the packages, builds with warnings as errors and runs every test: once plain, once with
+# the address and undefined behaviour sanitizers. Arguments go to ctest (tests/run.sh -L format).
+#
+# Tests that use real meshes look for them in the folder that MTSM_TEST_DATA names and skip what
+# they do not find.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+tests/install-packages.sh
+jobs=$(nproc)
+for preset in dev asan; do
+    echo "=== $preset: configure and build"
+    cmake --preset "$preset" >/dev/null
+    cmake --build --preset "$preset" --parallel "$jobs"
+    echo "=== $preset: test"
+    ctest --preset "$preset" --parallel "$jobs" "$@"
+done
+echo "All tests passed, plain and with sanitizers."
