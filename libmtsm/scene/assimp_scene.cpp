@@ -33,6 +33,8 @@ class ImportLog final : public Assimp::Logger {
         if (std::strstr(message, "out-of-range indices")) facesDropped = true;
     }
     void OnError(const char* message) override {
+        // Said of every OBJ file that chooses a material before it names an object.
+        if (std::strstr(message, "No object detected to attach")) return;
         if (errors++ == 0) firstError = message;
     }
 };

@@ -49,7 +49,7 @@ MaterialOpacity materialOpacity(const aiMaterial& material, SourceFormat format)
     opacity.alphaTexture = hasTexture(material, aiTextureType_OPACITY);
     if (format == SourceFormat::collada && opacity.value == 0.0f) {
         opacity.value = 1.0f;
-        opacity.takenForOpaque = true;
+        opacity.takenForOpaque = !opacity.alphaTexture;
     }
     return opacity;
 }

@@ -18,6 +18,7 @@ struct MaterialOpacity {
 ///
 /// COLLADA: an opacity of 0 is taken for 1. Exporters have long disagreed on which end of
 /// <transparency> is clear, and a material that nobody can see is seldom meant.
+/// With a texture for it, which is not looked at, that is no surprise and no oddity.
 ///
 /// Everything else: what the file calls opacity (OBJ's d and Tr, FBX's Opacity); 1 where
 /// it says nothing, or nothing finite.

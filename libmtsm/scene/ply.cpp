@@ -5,7 +5,6 @@
 #include <charconv>
 #include <cstring>
 #include <fstream>
-#include <iterator>
 #include <optional>
 #include <sstream>
 #include <string_view>
@@ -268,11 +267,21 @@ class Scanner {
     std::uint64_t vertices_ = 0;
 };
 
+/// All bytes of a file; what there is if it cannot be read to its end.
+std::string contentsOf(const std::string& path) {
+    std::ifstream in(path, std::ios::binary | std::ios::ate);
+    if (!in) return {};
+    std::string bytes(std::size_t(std::max<std::streamoff>(in.tellg(), 0)), '\0');
+    in.seekg(0);
+    in.read(bytes.data(), std::streamsize(bytes.size()));
+    bytes.resize(std::size_t(in.gcount()));
+    return bytes;
+}
+
 }  // namespace
 
 PlyScan scanPly(const std::string& path) {
-    std::ifstream in(path, std::ios::binary);
-    const std::string file{std::istreambuf_iterator<char>(in), {}};
+    const std::string file = contentsOf(path);
     const auto header = parseHeader(file);
     if (!header) return {};
     return Scanner(*header, std::string_view(file).substr(header->bytes)).run();
