@@ -16,6 +16,7 @@
 #include <string_view>
 
 #include "base/message.h"
+#include "io/printable.h"
 #include "mtsm/points.h"
 
 namespace mtsm {
@@ -23,10 +24,12 @@ namespace {
 
 using base::concat;
 using base::makeError;
+using io::printable;
 
 constexpr std::size_t kBlock = std::size_t(1) << 20;  // bytes read at once
 constexpr std::size_t kLongestLine = std::size_t(1) << 20;
 constexpr std::size_t kMostColumns = 4096;
+constexpr std::size_t kMostShown = 40;  // bytes of a field in a message
 
 /// The lines of a file or of standard input, without their ends.
 class LineReader {
@@ -133,16 +136,6 @@ std::size_t fieldEnd(std::string_view line, std::size_t from) {
     return line.size();
 }
 
-/// What was found, fit for one line of a message.
-std::string shown(std::string_view text) {
-    std::string out;
-    for (char c : text.substr(0, 40)) {
-        const auto u = static_cast<unsigned char>(c);
-        out.push_back(u < 0x20 || u > 0x7e ? '?' : c);
-    }
-    return text.size() > 40 ? out + "..." : out;
-}
-
 /// A number as a user may write it; nothing if `text` is none.
 std::optional<double> parseNumber(std::string_view text) {
     if (text.starts_with('+')) text.remove_prefix(1);
@@ -226,9 +219,9 @@ class Table {
         }
         for (std::size_t w = 0; w < wanted_.size(); ++w) {
             if (wanted_[w].required && !present[w])
-                return errorAt(1, "found \"", shown(line), "\", but the first line must ",
-                               "name the columns ", wantedNames(), "; there is no ",
-                               wanted_[w].name);
+                return errorAt(1, "found \"", printable(line, kMostShown),
+                               "\", but the first line must ", "name the columns ",
+                               wantedNames(), "; there is no ", wanted_[w].name);
         }
         values_.resize(wanted_.size());
         for (std::size_t w = 0; w < wanted_.size(); ++w)
@@ -246,7 +239,7 @@ class Table {
             const std::string_view field = trimmed(line.substr(at, end - at));
             auto value = field.empty() ? wanted_[w].whenEmpty : parseNumber(field);
             if (!value)
-                return errorAt(at + 1, "found \"", shown(field),
+                return errorAt(at + 1, "found \"", printable(field, kMostShown),
                                "\", expected a number for ", wanted_[w].name);
             values_[w] = *value;
         }

@@ -16,6 +16,7 @@
 #include <filesystem>
 
 #include "base/message.h"
+#include "io/printable.h"
 
 namespace mtsm::io {
 namespace {
@@ -141,17 +142,12 @@ void ExrStream::clear() {
 
 Error exrError(const std::string& path, const char* what) {
     // OpenEXR says `Cannot read image file "NAME". Reason.`: our streams have no name.
-    // What it quotes may hold any bytes of the file: one clean line of them.
+    // What it quotes may hold any bytes of the file.
     static constexpr const char* kNoName = "file \"\". ";
     std::string text(what);
     for (std::size_t at; (at = text.find(kNoName)) != std::string::npos;)
         text.erase(0, at + std::strlen(kNoName));
-    for (char& c : text) {
-        if (static_cast<unsigned char>(c) < 0x20 || static_cast<unsigned char>(c) > 0x7e)
-            c = ' ';
-    }
-    if (text.size() > 300) text.resize(300);
-    return makeError(ErrorCode::badFile, path, ": damaged EXR: ", text);
+    return makeError(ErrorCode::badFile, path, ": damaged EXR: ", printable(text, 300));
 }
 
 Error exrMemoryError(const std::string& path) {
@@ -190,9 +186,9 @@ Status readExrChannels(
     for (const std::string& name : channels) {
         const Imf::Channel& c = header.channels()[name];
         if (c.xSampling != 1 || c.ySampling != 1)
-            return makeError(ErrorCode::unsupported, path, ": channel ", name,
-                             " is subsampled ", c.xSampling, " x ", c.ySampling,
-                             "; a pass needs a value for every pixel");
+            return makeError(ErrorCode::unsupported, path, ": channel ",
+                             printable(name, 80), " is subsampled ", c.xSampling, " x ",
+                             c.ySampling, "; a pass needs a value for every pixel");
     }
     auto rows = chunkRows(header, window.width, path);
     if (!rows) return rows.error();

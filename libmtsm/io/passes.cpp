@@ -15,12 +15,14 @@
 
 #include "base/message.h"
 #include "io/exr_file.h"
+#include "io/printable.h"
 
 namespace mtsm {
 namespace {
 
 using base::concat;
 using base::makeError;
+using io::printable;
 
 /// Three channels that belong together.
 struct Layer {
@@ -129,12 +131,13 @@ std::string listChannels(const Imf::MultiPartInputFile& file) {
         const Imf::Header& header = file.header(part);
         text += text.empty() ? "" : "; ";
         if (file.parts() > 1)
-            text += concat("part ", part, " \"", partName(header), "\": ");
+            text += concat("part ", part, " \"", printable(partName(header), 80), "\": ");
         const Imf::ChannelList& channels = header.channels();
         const char* comma = "";
         for (auto c = channels.begin(); c != channels.end(); ++c, comma = ", ") {
             if (++listed > kMost) return text + ", and more";
-            text += concat(comma, c.name());
+            text += concat(comma, printable(c.name(), 80),
+                           c.channel().type == Imf::UINT ? " (integers)" : "");
         }
     }
     return text;
@@ -149,8 +152,9 @@ bool answersTo(const Layer& layer, const std::string& name, bool whole) {
            path[path.size() - name.size() - 1] == '.';
 }
 
+/// A file of three bare channels and perhaps an alpha.
 bool nothingButThisLayer(const Imf::MultiPartInputFile& file, const Layer& layer) {
-    if (file.parts() != 1) return false;
+    if (file.parts() != 1 || !layer.prefix.empty()) return false;
     std::size_t others = 0;
     const Imf::ChannelList& channels = file.header(0).channels();
     for (auto c = channels.begin(); c != channels.end(); ++c) {
@@ -202,8 +206,10 @@ Result<Layer> chooseLayer(const Imf::MultiPartInputFile& file, const std::string
     }
     std::string names;
     for (const Layer& l : found)
-        names += concat(names.empty() ? "\"" : ", \"",
-                        file.parts() > 1 ? l.partName + ":" + l.prefix : l.path(), "\"");
+        names += concat(
+            names.empty() ? "\"" : ", \"",
+            printable(file.parts() > 1 ? l.partName + ":" + l.prefix : l.path(), 80),
+            "\"");
     return makeError(ErrorCode::badArgument, path, ": several layers could be the ",
                      wanted.noun, " pass: ", names, "; name one of them with ",
                      wanted.option, "; channels in the file: ", listChannels(file));
