@@ -1,0 +1,205 @@
+// bake(): placement, rasterising, layers, map.
+#include "mtsm/bake.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+#include <tbb/parallel_reduce.h>
+
+#include <exception>
+#include <new>
+
+#include "bake/layers.h"
+#include "bake/placement.h"
+#include "bake/visits.h"
+#include "base/message.h"
+#include "raster/kbuffer.h"
+#include "raster/memory_budget.h"
+#include "raster/rasteriser.h"
+
+namespace mtsm {
+namespace {
+
+using bake_detail::Placement;
+using bake_detail::Progress;
+using bake_detail::Visits;
+using base::makeError;
+using raster::KBuffer;
+using raster::KTile;
+using raster::MemoryBudget;
+using raster::Rasteriser;
+
+/// The default z threshold, in footprints of a pixel at the deepest layer.
+constexpr double kBiasFootprints = 1.0;
+
+Error tooLarge(const BakeOptions& o) {
+    return makeError(ErrorCode::tooLarge, "a map of ", o.width, " x ", o.height,
+                     " pixels with up to ", o.layers, " layers needs more than the ",
+                     o.maxBytes >> 20, " MiB of --max-memory: raise it, or lower ",
+                     "--resolution or --layers");
+}
+
+raster::Facing facing(Cull cull) {
+    switch (cull) {
+        case Cull::none:
+            break;
+        case Cull::back:
+            return raster::Facing::front;
+        case Cull::front:
+            return raster::Facing::back;
+    }
+    return raster::Facing::any;
+}
+
+/// Bytes that are needed whatever the casters are: tiles, and the map's hierarchy, which
+/// has less than 1/2 of a range per pixel.
+std::uint64_t fixedBytes(const BakeOptions& o) {
+    const std::uint64_t side = KBuffer::kTileSize;
+    const std::uint64_t tiles =
+        ((o.width + side - 1) / side) * ((o.height + side - 1) / side);
+    return tiles * (sizeof(Tile) + sizeof(KTile)) +
+           std::uint64_t(o.width) * o.height * sizeof(ZRange) / 2;
+}
+
+/// Rasterises all casters. The report is complete but for its times.
+Status rasterise(Visits& visits, const Placement& placed, const BakeOptions& options,
+                 const MemoryBudget& budget, KBuffer& buffer, MapInfo& info,
+                 BakeReport& report) {
+    const Progress& progress = visits.progress();
+    const auto tell = [&](std::uint64_t done) {
+        const double all = double(placed.triangles);
+        return progress("rasterising", all > 0.0 ? double(done) / all : -1.0);
+    };
+    Rasteriser rasteriser(placed.projection, facing(options.cull), buffer,
+                          [&](std::uint64_t done) -> Status {
+                              if (budget.exceeded()) return tooLarge(options);
+                              return tell(done + report.transparent);
+                          });
+    if (auto s = tell(0); !s) return s;
+    const auto status = visits.each([&](const MeshView& mesh) -> Status {
+        ++report.meshes;
+        report.triangles += mesh.triangleCount;
+        if (mesh.opacity > 0.0f) return rasteriser.add(mesh);
+        report.transparent += mesh.triangleCount;
+        return {};
+    });
+    if (!status) return status;
+    if (auto s = rasteriser.finish(); !s) return s;
+
+    const raster::TriangleCounts& counts = rasteriser.counts();
+    report.degenerate = counts.degenerate;
+    report.nonFinite = counts.nonFinite;
+    report.culled = counts.culled;
+    report.outside = counts.outside;
+    report.clipped = counts.clipped;
+    info.castersClipped = counts.leavesWindow > 0;
+    const std::uint64_t usable = report.triangles - report.transparent -
+                                 counts.degenerate - counts.nonFinite - counts.culled;
+    if (usable > 0 && usable == counts.behind)
+        return makeError(ErrorCode::badArgument,
+                         "every caster lies behind the light as it ",
+                         "is aimed, or in front of --near: move it, or turn it with ",
+                         "--light-target or --light-direction");
+    if (usable == counts.outside) return bake_detail::nothingCasts(report);
+    return {};
+}
+
+/// Turns the buffer into tiles, emptying it, and counts its samples.
+Result<std::vector<Tile>> takeLayers(KBuffer& buffer, const BakeOptions& options,
+                                     MemoryBudget& budget, const Progress& progress,
+                                     MapInfo& info) {
+    constexpr const char* kStage = "building map";
+    std::vector<KTile>& from = buffer.tiles();
+    std::uint64_t grown = 0;  // beyond what the tile itself gives back
+    for (const KTile& tile : from) {
+        const std::uint64_t bytes = bake_detail::layerBytes(tile);
+        if (bytes > tile.bytes()) grown += bytes - tile.bytes();
+    }
+    if (!budget.reserve(grown)) return tooLarge(options);
+
+    std::vector<Tile> tiles(from.size());
+    std::vector<std::uint64_t> dropped(from.size());
+    const std::size_t row = buffer.tilesX();
+    for (std::size_t first = 0; first < from.size(); first += row) {
+        if (auto s = progress(kStage, double(first) / double(from.size())); !s)
+            return s.error();
+        tbb::parallel_for(first, first + row, [&](std::size_t i) {
+            tiles[i] = bake_detail::layersOf(from[i]);
+            dropped[i] = from[i].dropped();
+        });
+        for (std::size_t i = first; i < first + row; ++i) {
+            info.samples += from[i].samples();
+            info.samplesDropped += dropped[i];
+            from[i].clear();
+        }
+    }
+    if (auto s = progress(kStage, 1.0); !s) return s.error();
+    return tiles;
+}
+
+/// The default z threshold: a pixel's footprint at the deepest layer; 0 without layers.
+float defaultBias(const Projection& projection, const std::vector<Tile>& tiles) {
+    float deepest = 0.0f;
+    for (const Tile& t : tiles) {
+        for (const float z : t.z)
+            deepest = std::max(deepest, z);
+    }
+    if (deepest == 0.0f) return 0.0f;
+    const double bias = kBiasFootprints * projection.pixelFootprint(deepest);
+    return float(std::min(bias, double(std::numeric_limits<float>::max())));
+}
+
+MapInfo describe(const BakeOptions& options, const Placement& placed) {
+    MapInfo info;
+    info.width = options.width;
+    info.height = options.height;
+    info.tileSize = KBuffer::kTileSize;
+    info.light = placed.light;
+    info.maxLayers = options.layers;
+    info.resets = kAllResets;
+    info.software = "libmtsm " MTSM_VERSION;
+    info.settings = options.settings;
+    return info;
+}
+
+Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
+    if (auto s = bake_detail::checkOptions(options); !s) return s.error();
+    MemoryBudget budget(options.maxBytes);
+    if (!budget.reserve(fixedBytes(options))) return tooLarge(options);
+
+    const Progress progress(options);
+    Visits visits(casters, progress);
+    auto placed = bake_detail::place(visits, options);
+    if (!placed) return placed.error();
+
+    MapInfo info = describe(options, *placed);
+    BakeReport report;
+    KBuffer buffer(options.width, options.height, options.layers, budget);
+    if (auto s = rasterise(visits, *placed, options, budget, buffer, info, report); !s)
+        return s.error();
+    report.readSeconds = visits.readSeconds();
+    report.rasterSeconds = visits.visitorSeconds();
+
+    auto tiles = takeLayers(buffer, options, budget, progress, info);
+    if (!tiles) return tiles.error();
+    info.bias = options.bias ? *options.bias : defaultBias(placed->projection, *tiles);
+    std::vector<MapFace> faces(1);
+    faces[0].projection = placed->projection;
+    faces[0].tiles = *std::move(tiles);
+    auto map = ShadowMap::create(std::move(info), std::move(faces));
+    if (!map) return map.error();
+    return Baked{*std::move(map), report};
+}
+
+}  // namespace
+
+Result<Baked> bake(CasterSource& casters, const BakeOptions& options) {
+    try {
+        return bakeChecked(casters, options);
+    } catch (const std::bad_alloc&) {
+        return tooLarge(options);
+    } catch (const std::exception& e) {
+        return makeError(ErrorCode::io, "the bake failed: ", e.what());
+    }
+}
+
+}  // namespace mtsm

@@ -1,0 +1,40 @@
+// measure.h - how far the casters reach, in any frame.
+//
+// One pass over all triangles that can cast: finite, with area, not transparent, the part
+// between two depths. Costs about as much as transforming the corners.
+#pragma once
+#include <cstdint>
+#include <glm/vec2.hpp>
+#include <glm/vec3.hpp>
+#include <limits>
+
+#include "bake/visits.h"
+#include "mtsm/map.h"
+#include "mtsm/result.h"
+
+namespace mtsm::bake_detail {
+
+struct Extent {
+    static constexpr double kNone = std::numeric_limits<double>::infinity();
+
+    glm::dvec3 min{kNone}, max{-kNone};  ///< light space of the frame
+    /// On the plane z = 1 (perspective), or the same as x and y (orthographic).
+    glm::dvec2 windowMin{kNone}, windowMax{-kNone};
+    double radius2 = 0.0;  ///< largest square of the distance from the axis, there
+    std::uint64_t meshes = 0, triangles = 0;
+    std::uint64_t nonFinite = 0, degenerate = 0, transparent = 0;
+    std::uint64_t outside = 0;  ///< wholly in front of near or behind far
+
+    /// True if no triangle reaches between near and far.
+    [[nodiscard]] bool empty() const noexcept { return !(min.x <= max.x); }
+    /// True if some triangle could cast, wherever it is.
+    [[nodiscard]] bool usable() const noexcept { return !empty() || outside > 0; }
+    void add(const Extent& other) noexcept;
+    void include(glm::dvec3 p, bool perspective) noexcept;
+};
+
+/// `frame`: kind, eye and axes are used, raster scale and window are not. For a
+/// perspective frame near > 0.
+Result<Extent> measure(Visits& visits, const Projection& frame, double near, double far);
+
+}  // namespace mtsm::bake_detail

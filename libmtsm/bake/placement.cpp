@@ -1,0 +1,305 @@
+#include "bake/placement.h"
+
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <glm/gtc/constants.hpp>
+#include <limits>
+
+#include "base/message.h"
+#include "raster/triangle.h"
+
+namespace mtsm::bake_detail {
+namespace {
+
+using base::concat;
+using base::makeError;
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+template <typename... Parts>
+Error invalid(const Parts&... parts) {
+    return makeError(ErrorCode::badArgument, parts...);
+}
+
+bool finite(glm::dvec3 p) {
+    return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z);
+}
+
+std::string text(glm::dvec3 p) {
+    return concat("(", p.x, ", ", p.y, ", ", p.z, ")");
+}
+
+double degrees(double radians) {
+    return radians * (180.0 / glm::pi<double>());
+}
+
+Status checkDepths(const BakeOptions& options) {
+    const double lightEnds =
+        options.light.shape == LightShape::sphere ? options.light.radius : 0.0;
+    const double near = options.near.value_or(lightEnds);
+    const double far = options.far.value_or(kInfinity);
+    if (!(near >= 0.0 && std::isfinite(near)))
+        return invalid("--near ", near,
+                       " must be finite and not negative: it is measured "
+                       "from the light's plane (a sun: from the nearest caster)");
+    if (!(far > near))
+        return invalid("--far ", far, " must be larger than --near, which is ", near,
+                       options.near ? "" : " when not given");
+    return {};
+}
+
+// --- axes
+// ----------------------------------------------------------------------------------
+
+/// Unit vector; v has a length.
+glm::dvec3 unit(glm::dvec3 v) {
+    return glm::normalize(v / std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)}));
+}
+
+/// Makes `p` look along `forward` with `up` up; if that is no direction across the view,
+/// with the world axis up that is furthest from it.
+void orient(Projection& p, glm::dvec3 forward, glm::dvec3 up) {
+    const double size = std::max({std::abs(up.x), std::abs(up.y), std::abs(up.z)});
+    glm::dvec3 right = size > 0.0 ? glm::cross(forward, unit(up)) : glm::dvec3(0.0);
+    if (glm::length(right) < 1e-6) {
+        const glm::dvec3 along(std::abs(forward.x), std::abs(forward.y),
+                               std::abs(forward.z));
+        const bool y = along.y <= along.x && along.y <= along.z;
+        const bool z = !y && along.z <= along.x;
+        right = glm::cross(forward, glm::dvec3(!y && !z, y, z));
+    }
+    p.forward = forward;
+    p.right = glm::normalize(right);
+    p.up = glm::cross(p.right, forward);
+}
+
+/// Light space as large as the world, for measuring in world coordinates.
+Projection worldFrame() {
+    Projection p;
+    p.kind = ProjectionKind::orthographic;
+    p.forward = {0.0, 0.0, 1.0};
+    return p;
+}
+
+// --- windows
+// -------------------------------------------------------------------------------
+
+/// Fits the raster to a rectangle of Extent::window, with three quarters of a pixel to
+/// spare on each side.
+void fitWindow(Projection& p, const Extent& casters, glm::dvec2 pixels) {
+    const glm::dvec2 margin = glm::min(glm::dvec2(0.75), 0.125 * pixels);
+    glm::dvec2 pixel = (casters.windowMax - casters.windowMin) / (pixels - 2.0 * margin);
+    const double largest = std::max({pixel.x, pixel.y, 1e-100});
+    pixel = glm::max(pixel, glm::dvec2(largest / kMaxPixelAspect));
+    p.scale = glm::dvec2(1.0, -1.0) / pixel;
+    p.offset = 0.5 * pixels - p.scale * (0.5 * (casters.windowMin + casters.windowMax));
+}
+
+/// A square window of `fov` across the larger side, the axis in its centre.
+void centreWindow(Projection& p, double fov, glm::dvec2 pixels) {
+    const double scale = 0.5 * std::max(pixels.x, pixels.y) / std::tan(0.5 * fov);
+    p.scale = {scale, -scale};
+    p.offset = 0.5 * pixels;
+}
+
+/// [Xie07, eq. 4], kept where a float depth resolves a quarter of the footprint that a
+/// pixel has at the furthest caster, or no further than that caster is from the light.
+double fittedPushBack(double radius, double tangent, double furthest, double pixels) {
+    const double footprint = 2.0 * tangent * furthest / pixels;
+    const double resolved = 0.25 * footprint * 0x1p23 - furthest;
+    return std::min(radius / tangent, std::max(resolved, furthest));
+}
+
+// --- what cannot be
+// ------------------------------------------------------------------------
+
+BakeReport report(const Extent& e) {
+    BakeReport r;
+    r.meshes = e.meshes;
+    r.triangles = e.triangles;
+    r.nonFinite = e.nonFinite;
+    r.degenerate = e.degenerate;
+    r.transparent = e.transparent;
+    r.outside = e.outside;
+    return r;
+}
+
+Error allBehind(const BakeOptions& options) {
+    if (options.near || options.far)
+        return invalid("no caster lies between --near and --far, ",
+                       options.near.value_or(0.0), " to ",
+                       options.far.value_or(kInfinity), " in front of the light");
+    return invalid("every caster lies behind the light at ", text(options.light.position),
+                   " as it is aimed: move it, or turn it with --light-target or "
+                   "--light-direction");
+}
+
+Status checkAngle(double tangent) {
+    if (std::atan(tangent) <= kMaxHalfAngle) return {};
+    return invalid(
+        "the casters reach ", degrees(std::atan(tangent)),
+        " degrees off the light's axis, and a fitted window can hold ",
+        degrees(kMaxHalfAngle),
+        ": give a field of view with --fov, cut them off with --near, move the "
+        "light, or --exclude the casters beside it");
+}
+
+Status checkOutside(glm::dvec3 p, const Extent& bounds) {
+    for (int i = 0; i < 3; ++i) {
+        if (!(p[i] >= bounds.min[i] && p[i] <= bounds.max[i])) return {};
+    }
+    return invalid("the light at ", text(p), " is inside the casters' bounds, ",
+                   text(bounds.min), " to ", text(bounds.max),
+                   ", and six-face maps are not available yet: move it, --exclude the "
+                   "casters around it, or give a field of view with --fov");
+}
+
+// --- finite lights and suns
+// ----------------------------------------------------------------
+
+glm::dvec2 pixelsOf(const BakeOptions& options) {
+    return {options.width, options.height};
+}
+
+Result<glm::dvec3> viewDirection(const BakeOptions& options, const Extent& bounds) {
+    const AreaLight& light = options.light;
+    if (options.aimed || light.shape == LightShape::sun) return unit(light.direction);
+    const glm::dvec3 at =
+        options.target ? *options.target : 0.5 * (bounds.min + bounds.max);
+    const glm::dvec3 to = at - light.position;
+    if (!(glm::dot(to, to) > 0.0))
+        return invalid("the light at ", text(light.position), " stands where it should ",
+                       "look at (",
+                       options.target ? "--light-target" : "the casters' centre",
+                       "): give another --light-target or a --light-direction");
+    return unit(to);
+}
+
+/// Distance from p to the far end of a box, or a little more.
+double farEnd(glm::dvec3 p, const Extent& bounds) {
+    return glm::length(0.5 * (bounds.min + bounds.max) - p) +
+           0.5 * glm::length(bounds.max - bounds.min);
+}
+
+Result<Placement> placeFinite(Visits& visits, const BakeOptions& options) {
+    Placement placed;
+    AreaLight& light = placed.light = options.light;
+    Projection& p = placed.projection;
+    const double radius = lightRadius(light);
+    const double ahead =
+        options.near.value_or(light.shape == LightShape::sphere ? radius : 0.0);
+    const double reach = options.far.value_or(kInfinity);
+
+    Extent bounds;
+    const bool aimed = options.aimed || options.target;
+    if (!options.fov || !aimed || radius + ahead == 0.0) {
+        auto measured = measure(visits, worldFrame(), -kInfinity, kInfinity);
+        if (!measured) return measured.error();
+        bounds = *measured;
+        placed.triangles = bounds.triangles;
+        if (bounds.empty()) return nothingCasts(report(bounds));
+        if (!options.fov) {
+            if (auto s = checkOutside(light.position, bounds); !s) return s.error();
+        }
+    }
+    auto forward = viewDirection(options, bounds);
+    if (!forward) return forward.error();
+    orient(p, *forward, light.shape == LightShape::rect ? light.up : options.up);
+    if (light.shape == LightShape::disk || light.shape == LightShape::rect)
+        light.direction = p.forward;
+    if (light.shape == LightShape::rect) light.up = p.up;
+
+    // Depths in front of this count as at the light.
+    const double atLight =
+        bounds.empty()
+            ? raster::kSmallestDepth
+            : std::max(1e-6 * farEnd(light.position, bounds), raster::kSmallestDepth);
+    double pushBack = 0.0;
+    p.eye = light.position;
+    if (options.fov) {
+        pushBack = radius / std::tan(0.5 * *options.fov);
+    } else if (radius > 0.0) {
+        auto seen = measure(visits, p, std::max(ahead, atLight), reach);
+        if (!seen) return seen.error();
+        if (seen->empty()) return allBehind(options);
+        const double tangent = std::sqrt(seen->radius2);
+        if (auto s = checkAngle(tangent); !s) return s.error();
+        pushBack = fittedPushBack(radius, tangent, seen->max.z,
+                                  std::max(options.width, options.height));
+    }
+    p.eye = light.position - pushBack * p.forward;
+    p.near = pushBack + ahead > 0.0 ? pushBack + ahead : atLight;
+    p.far = pushBack + reach;
+    if (options.fov) {
+        centreWindow(p, *options.fov, pixelsOf(options));
+        return placed;
+    }
+    auto seen = measure(visits, p, p.near, p.far);
+    if (!seen) return seen.error();
+    if (seen->empty()) return allBehind(options);
+    if (auto s = checkAngle(std::sqrt(seen->radius2)); !s) return s.error();
+    fitWindow(p, *seen, pixelsOf(options));
+    return placed;
+}
+
+Result<Placement> placeSun(Visits& visits, const BakeOptions& options) {
+    Placement placed;
+    placed.light = options.light;
+    Projection& p = placed.projection;
+    p.kind = ProjectionKind::orthographic;
+    auto bounds = measure(visits, worldFrame(), -kInfinity, kInfinity);
+    if (!bounds) return bounds.error();
+    if (bounds->empty()) return nothingCasts(report(*bounds));
+    placed.triangles = bounds->triangles;
+    orient(p, unit(options.light.direction), options.up);
+    placed.light.direction = p.forward;
+
+    p.eye = 0.5 * (bounds->min + bounds->max);
+    auto seen = measure(visits, p, -kInfinity, kInfinity);
+    if (!seen) return seen.error();
+    if (seen->empty()) return nothingCasts(report(*seen));
+    const double margin =
+        std::max(0.01 * glm::length(bounds->max - bounds->min), raster::kSmallestDepth);
+    p.eye += (seen->min.z - margin) * p.forward;
+    p.near = options.near ? margin + *options.near : 0.0;
+    p.far = margin + options.far.value_or(kInfinity);
+    fitWindow(p, *seen, pixelsOf(options));
+    return placed;
+}
+
+}  // namespace
+
+Error nothingCasts(const BakeReport& r) {
+    return makeError(ErrorCode::badFile, "no triangle casts a shadow: of ", r.triangles,
+                     " in ", r.meshes, " meshes, ", r.degenerate, " have no area, ",
+                     r.nonFinite, " have a corner that is not finite, ", r.transparent,
+                     " are wholly transparent, ", r.culled, " are culled, ", r.outside,
+                     " lie outside the window, near and far");
+}
+
+Status checkOptions(const BakeOptions& o) {
+    if (auto s = checkLight(o.light); !s) return s;
+    if (o.target && !finite(*o.target)) return invalid("--light-target is not finite");
+    if (!finite(o.up)) return invalid("--light-up is not finite");
+    if (o.width < 1 || o.height < 1 || o.width > kMaxResolution ||
+        o.height > kMaxResolution)
+        return invalid("--resolution ", o.width, "x", o.height,
+                       ": each side must be 1 to ", kMaxResolution);
+    if (o.layers < 1 || o.layers > 64)
+        return invalid("--layers ", o.layers, " must be 1 to 64");
+    if (o.fov && o.light.shape == LightShape::sun)
+        return invalid("--fov: a sun's rays are parallel and have no field of view");
+    if (o.fov && !(*o.fov > 0.0 && *o.fov < glm::pi<double>()))
+        return invalid("--fov ", degrees(*o.fov),
+                       " degrees must be more than 0 and less than 180");
+    if (o.bias && !(*o.bias >= 0.0f && std::isfinite(*o.bias)))
+        return invalid("--bias ", *o.bias, " must be finite and not negative");
+    return checkDepths(o);
+}
+
+Result<Placement> place(Visits& visits, const BakeOptions& options) {
+    return options.light.shape == LightShape::sun ? placeSun(visits, options)
+                                                  : placeFinite(visits, options);
+}
+
+}  // namespace mtsm::bake_detail

@@ -1,0 +1,46 @@
+// placement.h - where the map's eye stands, where it looks and what its window holds.
+//
+// Finite lights. The eye looks from the light to what options ask for and is pushed back
+// behind the light's centre by d = R / tan(fov / 2) [Xie07, eq. 4], so the light lies on
+// the plane z = d. With a given field of view the window is square, centred, and that
+// wide. Without, tan(fov / 2) is the largest tangent under which the light's centre sees
+// a caster, and the window is then fitted to the casters as the eye sees them. There, d
+// is kept small enough for a float depth to resolve a quarter of a pixel's footprint (the
+// fitted window holds every caster whatever d is).
+//
+// near. What lies between the eye and the light is no caster: near is the light's plane,
+// for a sphere its far side, or options.near in front of the plane. Where that would be
+// the eye itself (lights of no size) it is 1e-6 of the distance to the far end of the
+// casters' bounds instead.
+//
+// Suns. Orthographic, along the light's direction; the eye stands before the nearest
+// caster by a hundredth of the casters' extent.
+#pragma once
+#include "bake/measure.h"
+#include "bake/visits.h"
+#include "mtsm/bake.h"
+
+namespace mtsm::bake_detail {
+
+/// Pixels' sides differ by this factor at most when a window is fitted.
+inline constexpr double kMaxPixelAspect = 4.0;
+/// Largest half angle that a fitted window may have, radians: 85 degrees.
+inline constexpr double kMaxHalfAngle = 1.4835298641951802;
+
+struct Placement {
+    AreaLight light;  ///< as it is stored: aimed, with unit vectors
+    Projection projection;
+    std::uint64_t triangles = 0;  ///< that the casters have; 0: not known
+};
+
+/// Refuses options that are out of range, whatever the casters are.
+Status checkOptions(const BakeOptions& options);
+
+/// Visits the casters up to three times: for their bounds, for the push-back and for the
+/// window; not at all if the options say it all.
+Result<Placement> place(Visits& visits, const BakeOptions& options);
+
+/// No triangle is left that casts: why not (badFile).
+Error nothingCasts(const BakeReport& report);
+
+}  // namespace mtsm::bake_detail

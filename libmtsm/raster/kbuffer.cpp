@@ -1,0 +1,106 @@
+// KTile: what happens seldom, and what is asked once a map is complete.
+#include "raster/kbuffer.h"
+
+#include <algorithm>
+
+namespace mtsm::raster {
+
+bool KTile::allocate() {
+    const std::size_t size = std::size_t(pixels_) * layers_;
+    if (!budget_->reserve(size * sizeof(float))) return false;
+    z_.reset(new float[size]);
+    std::fill_n(z_.get(), size, kNoSample);
+    return true;
+}
+
+bool KTile::allocateOpacity() {
+    const std::size_t size = std::size_t(pixels_) * layers_;
+    if (!budget_->reserve(size * sizeof(float))) return false;
+    opacity_.reset(new float[size]);
+    std::fill_n(opacity_.get(), size, 1.0f);
+    return true;
+}
+
+void KTile::insertTranslucent(std::uint32_t pixel, float z, float opacity) {
+    if (!opacity_ && !allocateOpacity()) return;
+    const std::size_t first = std::size_t(pixel) * layers_;
+    float *const zs = z_.get() + first, *const as = opacity_.get() + first;
+    const auto before = [&](std::uint32_t i) {  // slot i comes before the new sample
+        return zs[i] < z || (zs[i] == z && as[i] < opacity);
+    };
+    std::uint32_t at = 0;
+    while (at < layers_ && before(at))
+        ++at;
+    if (at == layers_) return;
+    if (opacity == 1.0f && zs[at] == z) return addCopy(pixel, at);
+    if (copies_) shiftCopies(pixel, at);
+    std::copy_backward(zs + at, zs + layers_ - 1, zs + layers_);
+    std::copy_backward(as + at, as + layers_ - 1, as + layers_);
+    zs[at] = z;
+    as[at] = opacity;
+}
+
+void KTile::addCopy(std::uint32_t pixel, std::uint32_t slot) {
+    if (!copies_) {
+        const std::size_t size = std::size_t(pixels_) * layers_;
+        if (!budget_->reserve(size * sizeof(std::uint32_t))) return;
+        copies_ = std::make_unique<std::uint32_t[]>(size);
+    }
+    ++copies_[std::size_t(pixel) * layers_ + slot];
+}
+
+/// Makes room for a sample that has no copies yet.
+void KTile::shiftCopies(std::uint32_t pixel, std::uint32_t slot) {
+    std::uint32_t* const copies = copies_.get() + std::size_t(pixel) * layers_;
+    std::copy_backward(copies + slot, copies + layers_ - 1, copies + layers_);
+    copies[slot] = 0;
+}
+
+std::uint32_t KTile::count(std::uint32_t pixel) const noexcept {
+    const float* const zs = z(pixel);
+    return std::uint32_t(std::lower_bound(zs, zs + layers_, kNoSample) - zs);
+}
+
+std::uint64_t KTile::dropped() const noexcept {
+    if (empty()) return 0;
+    std::uint64_t kept = 0;
+    for (std::uint32_t p = 0; p < pixels_; ++p)
+        kept += count(p);
+    if (copies_) {
+        const std::size_t size = std::size_t(pixels_) * layers_;
+        for (std::size_t i = 0; i < size; ++i)
+            kept += copies_[i];
+    }
+    return samples_ - kept;
+}
+
+std::uint64_t KTile::bytes() const noexcept {
+    const std::uint64_t plane = std::uint64_t(pixels_) * layers_ * sizeof(float);
+    return plane * ((z_ ? 1 : 0) + (opacity_ ? 1 : 0) + (copies_ ? 1 : 0));
+}
+
+void KTile::clear() noexcept {
+    z_.reset();
+    opacity_.reset();
+    copies_.reset();
+    samples_ = 0;
+}
+
+KBuffer::KBuffer(std::uint32_t width, std::uint32_t height, std::uint32_t layers,
+                 MemoryBudget& budget)
+    : width_(width),
+      height_(height),
+      layers_(layers),
+      tilesX_((width + kTileSize - 1) / kTileSize),
+      tilesY_((height + kTileSize - 1) / kTileSize) {
+    tiles_.reserve(std::size_t(tilesX_) * tilesY_);
+    for (std::uint32_t ty = 0; ty < tilesY_; ++ty) {
+        const std::uint32_t h = std::min(kTileSize, height - ty * kTileSize);
+        for (std::uint32_t tx = 0; tx < tilesX_; ++tx) {
+            const std::uint32_t w = std::min(kTileSize, width - tx * kTileSize);
+            tiles_.emplace_back(w, h, layers, budget);
+        }
+    }
+}
+
+}  // namespace mtsm::raster

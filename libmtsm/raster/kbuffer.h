@@ -1,0 +1,123 @@
+// kbuffer.h - the k nearest samples of every pixel [Xie07, sec. 4.2].
+//
+//     MemoryBudget budget(options.maxBytes);
+//     KBuffer buffer(width, height, layers, budget);
+//     buffer.tile(tx, ty).insert(pixel, z, opacity);   // one thread per tile at a time
+//     if (budget.exceeded()) ...                       // samples are missing
+//
+// Samples are ordered by (z, then opacity), and the first k of them are kept, so what is
+// kept does not depend on the order in which they come. Opaque samples at exactly the
+// same z are one: the others are its copies. A sample that is not opaque never is
+// another's copy: two of them at the same z both dim the light.
+//
+// A tile takes memory when its first sample comes; opacities and numbers of copies when
+// the first sample comes that needs them.
+#pragma once
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <vector>
+
+#include "raster/memory_budget.h"
+
+namespace mtsm::raster {
+
+class KTile {
+  public:
+    static constexpr float kNoSample = std::numeric_limits<float>::infinity();
+
+    KTile(std::uint32_t width, std::uint32_t height, std::uint32_t layers,
+          MemoryBudget& budget) noexcept
+        : budget_(&budget), width_(width), pixels_(width * height), layers_(layers) {}
+
+    /// Adds a sample at `pixel` (row-major in the tile): z finite and positive, opacity
+    /// in (0, 1]. Without effect once the budget is exceeded.
+    void insert(std::uint32_t pixel, float z, float opacity) {
+        ++samples_;
+        if (!z_ && !allocate()) return;
+        if (opacity_ || opacity < 1.0f)
+            insertTranslucent(pixel, z, opacity);
+        else
+            insertOpaque(pixel, z);
+    }
+
+    [[nodiscard]] bool empty() const noexcept { return !z_; }
+    [[nodiscard]] std::uint32_t width() const noexcept { return width_; }
+    [[nodiscard]] std::uint32_t pixels() const noexcept { return pixels_; }
+    /// All that came, copies included.
+    [[nodiscard]] std::uint64_t samples() const noexcept { return samples_; }
+    /// Of those, the ones that were neither kept nor copies of a kept one.
+    [[nodiscard]] std::uint64_t dropped() const noexcept;
+    /// [layers], nearest first, kNoSample behind the last. Only if not empty().
+    [[nodiscard]] const float* z(std::uint32_t pixel) const noexcept {
+        return z_.get() + std::size_t(pixel) * layers_;
+    }
+    /// [layers], as z; null if all samples of the tile are opaque.
+    [[nodiscard]] const float* opacity(std::uint32_t pixel) const noexcept {
+        return opacity_ ? opacity_.get() + std::size_t(pixel) * layers_ : nullptr;
+    }
+    /// Samples kept in a pixel. Only if not empty().
+    [[nodiscard]] std::uint32_t count(std::uint32_t pixel) const noexcept;
+    /// Bytes that its planes take.
+    [[nodiscard]] std::uint64_t bytes() const noexcept;
+    /// Drops the planes and the counts.
+    void clear() noexcept;
+
+  private:
+    void insertOpaque(std::uint32_t pixel, float z) {
+        float* const slot = z_.get() + std::size_t(pixel) * layers_;
+        const std::uint32_t last = layers_ - 1;
+        if (z >= slot[last]) {
+            if (z == slot[last]) addCopy(pixel, last);
+            return;
+        }
+        std::uint32_t at = 0;
+        while (slot[at] < z)
+            ++at;
+        if (slot[at] == z) return addCopy(pixel, at);
+        if (copies_) shiftCopies(pixel, at);
+        for (std::uint32_t i = last; i > at; --i)
+            slot[i] = slot[i - 1];
+        slot[at] = z;
+    }
+    void insertTranslucent(std::uint32_t pixel, float z, float opacity);
+    void addCopy(std::uint32_t pixel, std::uint32_t slot);
+    void shiftCopies(std::uint32_t pixel, std::uint32_t slot);
+    bool allocate();
+    bool allocateOpacity();
+
+    std::unique_ptr<float[]> z_;               // [pixels][layers]
+    std::unique_ptr<float[]> opacity_;         // [pixels][layers], or null: all are 1
+    std::unique_ptr<std::uint32_t[]> copies_;  // [pixels][layers], or null: all are 0
+    MemoryBudget* budget_;
+    std::uint32_t width_, pixels_, layers_;
+    std::uint64_t samples_ = 0;
+};
+
+class KBuffer {
+  public:
+    static constexpr std::uint32_t kTileShift = 6;
+    static constexpr std::uint32_t kTileSize = 1u << kTileShift;
+
+    /// `budget` must outlive the buffer. Each side 1..kMaxResolution, layers 1..64.
+    KBuffer(std::uint32_t width, std::uint32_t height, std::uint32_t layers,
+            MemoryBudget& budget);
+
+    [[nodiscard]] std::uint32_t width() const noexcept { return width_; }
+    [[nodiscard]] std::uint32_t height() const noexcept { return height_; }
+    [[nodiscard]] std::uint32_t layers() const noexcept { return layers_; }
+    [[nodiscard]] std::uint32_t tilesX() const noexcept { return tilesX_; }
+    [[nodiscard]] std::uint32_t tilesY() const noexcept { return tilesY_; }
+    /// Tiles at the right and lower border are cropped to the map.
+    [[nodiscard]] KTile& tile(std::uint32_t tx, std::uint32_t ty) noexcept {
+        return tiles_[std::size_t(ty) * tilesX_ + tx];
+    }
+    /// Row-major.
+    [[nodiscard]] std::vector<KTile>& tiles() noexcept { return tiles_; }
+
+  private:
+    std::uint32_t width_, height_, layers_, tilesX_, tilesY_;
+    std::vector<KTile> tiles_;
+};
+
+}  // namespace mtsm::raster

@@ -1,0 +1,210 @@
+// Batches: transform and set up, sort into bins, draw the bins.
+#include "raster/rasteriser.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <glm/geometric.hpp>
+
+#include "raster/light_from_object.h"
+
+namespace mtsm::raster {
+namespace {
+
+// A slice's prepared triangles (64 bytes each) fit a core's second-level cache; a batch
+// has enough slices for the threads of a large machine.
+constexpr std::uint32_t kSliceTriangles = 4096;
+constexpr std::uint32_t kSlices = 32;
+constexpr std::uint32_t kBatchTriangles = kSlices * kSliceTriangles;
+constexpr std::uint32_t kMostBins = 1024;
+
+}  // namespace
+
+/// Consecutive triangles of a mesh and the vertices they use. Where those are spread too
+/// thinly over the mesh, corners are transformed one by one instead.
+struct Rasteriser::Chunk {
+    const MeshView& mesh;
+    std::size_t first;    ///< triangle
+    std::uint32_t count;  ///< triangles
+    LightFromObject lightFromObject;
+    bool mirrored;
+    std::uint32_t lowest = 0;  ///< vertex
+    std::size_t vertices = 0;
+    bool shared = false;  ///< vertices_[i] is vertex lowest + i; else corner i
+
+    Chunk(const Projection& projection, const MeshView& m, std::size_t firstTriangle,
+          std::uint32_t triangles)
+        : mesh(m),
+          first(firstTriangle),
+          count(triangles),
+          lightFromObject(projection, m.worldFromObject),
+          mirrored(mirrors(m.worldFromObject)) {
+        const auto [low, high] =
+            std::minmax_element(indices(), indices() + 3 * std::size_t(count));
+        lowest = *low;
+        const std::size_t range = std::size_t(*high) - *low + 1;
+        shared = range <= 3 * std::size_t(count);
+        vertices = shared ? range : 3 * std::size_t(count);
+    }
+    [[nodiscard]] const std::uint32_t* indices() const {
+        return mesh.indices + 3 * first;
+    }
+    [[nodiscard]] glm::vec3 position(std::size_t i) const {
+        return mesh.positions[shared ? lowest + i : indices()[i]];
+    }
+    /// Where in vertices_ a corner of the chunk's triangles is.
+    [[nodiscard]] std::size_t corner(std::size_t i) const {
+        return shared ? indices()[i] - lowest : i;
+    }
+};
+
+Rasteriser::Rasteriser(const Projection& projection, Facing keep, KBuffer& buffer,
+                       std::function<Status(std::uint64_t)> afterBatch)
+    : projection_(projection),
+      setup_(projection, buffer.width(), buffer.height(), keep),
+      buffer_(buffer),
+      afterBatch_(std::move(afterBatch)),
+      slices_(kSlices) {
+    const auto bins = [](std::uint32_t pixels, std::uint32_t shift) {
+        return ((pixels - 1) >> shift) + 1;
+    };
+    binShift_ = KBuffer::kTileShift;
+    do {
+        binsX_ = bins(buffer.width(), binShift_);
+        binsY_ = bins(buffer.height(), binShift_);
+    } while (binsX_ * binsY_ > kMostBins && ++binShift_);
+}
+
+Status Rasteriser::add(const MeshView& mesh) {
+    for (std::size_t first = 0; first < mesh.triangleCount;) {
+        const std::size_t left = mesh.triangleCount - first;
+        const std::uint32_t room = kBatchTriangles - pending_;
+        const auto count = std::uint32_t(std::min<std::size_t>(left, room));
+        prepare(Chunk(projection_, mesh, first, count));
+        first += count;
+        pending_ += count;
+        if (pending_ == kBatchTriangles) {
+            if (auto s = flush(); !s) return s;
+        }
+    }
+    return {};
+}
+
+Status Rasteriser::finish() {
+    return pending_ ? flush() : Status{};
+}
+
+/// Fills the slices from where the chunk before left off.
+void Rasteriser::prepare(const Chunk& chunk) {
+    using Range = tbb::blocked_range<std::size_t>;
+    if (vertices_.size() < chunk.vertices) vertices_.resize(chunk.vertices);
+    tbb::parallel_for(Range(0, chunk.vertices, 1024), [&](const Range& range) {
+        for (std::size_t i = range.begin(); i < range.end(); ++i)
+            vertices_[i] = setup_.vertex(chunk.lightFromObject(chunk.position(i)));
+    });
+    const double origin2 =
+        glm::dot(chunk.lightFromObject.origin, chunk.lightFromObject.origin);
+    const std::uint32_t firstSlice = pending_ / kSliceTriangles;
+    const std::uint32_t end = pending_ + chunk.count;
+    const std::uint32_t endSlice = (end + kSliceTriangles - 1) / kSliceTriangles;
+    tbb::parallel_for(firstSlice, endSlice, [&](std::uint32_t s) {
+        Slice& slice = slices_[s];
+        const std::uint32_t from = std::max(pending_, s * kSliceTriangles);
+        const std::uint32_t to = std::min(end, (s + 1) * kSliceTriangles);
+        for (std::uint32_t i = from; i < to; ++i) {
+            const std::size_t corner = 3 * std::size_t(i - pending_);
+            setup_.triangle(vertices_[chunk.corner(corner)],
+                            vertices_[chunk.corner(corner + 1)],
+                            vertices_[chunk.corner(corner + 2)], chunk.mirrored, origin2,
+                            chunk.mesh.opacity, slice.counts, slice.triangles);
+        }
+        slice.taken += to - from;
+    });
+}
+
+PixelRect Rasteriser::binsOf(const PreparedTriangle& t) const noexcept {
+    const PixelRect p = pixelBounds(t);
+    const auto shift = binShift_;
+    return intersect({p.x0 >> shift, p.y0 >> shift, p.x1 >> shift, p.y1 >> shift},
+                     {0, 0, std::int32_t(binsX_) - 1, std::int32_t(binsY_) - 1});
+}
+
+/// A counting sort.
+void Rasteriser::sortIntoBins(Slice& slice) const {
+    const auto forEachBin = [&](std::uint32_t triangle, auto&& visit) {
+        const PixelRect bins = binsOf(slice.triangles[triangle]);
+        for (std::int32_t y = bins.y0; y <= bins.y1; ++y) {
+            for (std::int32_t x = bins.x0; x <= bins.x1; ++x)
+                visit(std::size_t(y) * binsX_ + std::size_t(x));
+        }
+    };
+    const auto triangles = std::uint32_t(slice.triangles.size());
+    std::vector<std::uint32_t>& begin = slice.begin;
+    begin.assign(std::size_t(binsX_) * binsY_ + 1, 0);
+    for (std::uint32_t i = 0; i < triangles; ++i)
+        forEachBin(i, [&](std::size_t bin) { ++begin[bin]; });
+    std::uint32_t total = 0;
+    for (std::uint32_t& b : begin) {  // to where each bin ends
+        total += b;
+        b = total;
+    }
+    slice.order.resize(total);
+    for (std::uint32_t i = triangles; i-- > 0;)
+        forEachBin(i, [&](std::size_t bin) { slice.order[--begin[bin]] = i; });
+}
+
+void Rasteriser::drawBin(std::uint32_t bin) const {
+    const auto x = std::int32_t(bin % binsX_), y = std::int32_t(bin / binsX_);
+    const std::int32_t side = 1 << binShift_;
+    const PixelRect pixels{x * side, y * side,
+                           std::min((x + 1) * side, std::int32_t(buffer_.width())) - 1,
+                           std::min((y + 1) * side, std::int32_t(buffer_.height())) - 1};
+    for (const Slice& slice : slices_) {
+        if (slice.taken == 0) continue;
+        for (std::uint32_t i = slice.begin[bin]; i < slice.begin[bin + 1]; ++i) {
+            const PreparedTriangle& t = slice.triangles[slice.order[i]];
+            if (projection_.kind == ProjectionKind::perspective)
+                drawInBin<ProjectionKind::perspective>(t, pixels);
+            else
+                drawInBin<ProjectionKind::orthographic>(t, pixels);
+        }
+    }
+}
+
+template <ProjectionKind kind>
+void Rasteriser::drawInBin(const PreparedTriangle& t, PixelRect bin) const {
+    constexpr std::int32_t shift = KBuffer::kTileShift, side = KBuffer::kTileSize;
+    const PixelRect r = intersect(pixelBounds(t), bin);
+    for (std::int32_t ty = r.y0 >> shift; ty <= r.y1 >> shift; ++ty) {
+        for (std::int32_t tx = r.x0 >> shift; tx <= r.x1 >> shift; ++tx) {
+            KTile& tile = buffer_.tile(std::uint32_t(tx), std::uint32_t(ty));
+            const std::int32_t left = tx * side, top = ty * side;
+            const auto width = std::int32_t(tile.width());
+            const PixelRect within =
+                intersect(r, {left, top, left + side - 1, top + side - 1});
+            drawTriangle<kind>(t, within, [&](std::int32_t x, std::int32_t y, float z) {
+                tile.insert(std::uint32_t((y - top) * width + (x - left)), z, t.opacity);
+            });
+        }
+    }
+}
+
+Status Rasteriser::flush() {
+    tbb::parallel_for(std::uint32_t(0), kSlices, [&](std::uint32_t s) {
+        if (slices_[s].taken) sortIntoBins(slices_[s]);
+    });
+    tbb::parallel_for(std::uint32_t(0), binsX_ * binsY_,
+                      [&](std::uint32_t bin) { drawBin(bin); });
+    for (Slice& slice : slices_) {
+        counts_.add(slice.counts);
+        slice.counts = {};
+        slice.taken = 0;
+        slice.triangles.clear();
+    }
+    done_ += pending_;
+    pending_ = 0;
+    return afterBatch_ ? afterBatch_(done_) : Status{};
+}
+
+}  // namespace mtsm::raster

@@ -1,0 +1,255 @@
+// triangle.h - exact rasterisation of triangles: which pixel centres one covers, and at
+// which depth.
+//
+//     const TriangleSetup setup(projection, width, height, Facing::any);
+//     const Vertex a = setup.vertex(lightFromObject(p)), b = ..., c = ...;
+//     setup.triangle(a, b, c, mirrored, opacity, counts, prepared);
+//     for (const PreparedTriangle& t : prepared)
+//         drawTriangle<ProjectionKind::perspective>(t, pixels, sink);  // sink(x, y, z)
+//
+// A sample is a pixel centre. Vertices are projected in double and snapped to a grid of
+// 2^-14 pixel; from there on coverage is integer arithmetic without rounding, so with the
+// top-left rule an edge that two triangles share gives each pixel centre on it to exactly
+// one of them, whatever the order of their vertices. (Exactly one in the sense of the
+// snapped mesh: a sliver thinner than the grid may turn over when it is snapped.)
+//
+// Bit budget. The window is at most 2^15 pixels wide. Triangles that reach further than a
+// guard band of 2^14 pixels beyond it are cut there first, so coordinates lie in
+// [-2^14, 2^15 + 2^14] pixels, |x| < 2^30 grid steps (int32); differences are at most
+// 2^30, their products 2^60, an edge function 2^61: int64 holds it.
+//
+// Depth is that of the triangle's plane (the whole one's, also where it was cut) on the
+// centre ray, in double, kept within the depths of the triangle's corners, and float from
+// there on.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <glm/vec2.hpp>
+#include <glm/vec3.hpp>
+#include <vector>
+
+#include "mtsm/map.h"
+#include "raster/clip.h"
+
+namespace mtsm::raster {
+
+inline constexpr int kSubpixelBits = 14;
+inline constexpr std::int32_t kSubpixels = 1 << kSubpixelBits;  ///< grid steps per pixel
+inline constexpr double kGuardPixels = 16384.0;
+/// Light-space coordinates beyond this count as infinite: their cubes still fit a double.
+inline constexpr double kLargestCoordinate = 1e30;
+/// What `near` is at least, so that a depth is always positive as a float, too.
+inline constexpr double kSmallestDepth = 1e-30;
+
+/// Which faces cast. The front is where the corners run counter-clockwise.
+enum class Facing { any, front, back };
+
+/// What became of the triangles. Each is counted in at most one of the first four; those
+/// that are in none of them were drawn.
+struct TriangleCounts {
+    std::uint64_t nonFinite = 0;   ///< a corner is NaN, infinite or beyond 1e30
+    std::uint64_t degenerate = 0;  ///< no area, or less than a double resolves
+    std::uint64_t culled = 0;      ///< faces the wrong way
+    std::uint64_t outside = 0;     ///< wholly outside window, near and far
+    std::uint64_t behind = 0;      ///< of those outside: wholly in front of `near`
+    std::uint64_t clipped = 0;     ///< cut by near or far, or reaching out of the window
+    /// Of those clipped or outside: what lies between near and far leaves the window.
+    std::uint64_t leavesWindow = 0;
+
+    void add(const TriangleCounts& other) noexcept;
+};
+
+/// Double the area as a vector, and whether it is more than rounding: the triangle's
+/// height must exceed a few steps of the doubles that its corners were computed in.
+/// `origin2` is the square of the largest number that went into them besides.
+struct TriangleNormal {
+    glm::dvec3 normal;
+    bool hasArea;
+
+    TriangleNormal(glm::dvec3 a, glm::dvec3 b, glm::dvec3 c, double origin2) noexcept {
+        constexpr double kRounding = 4.0 * 0x1p-52;
+        const glm::dvec3 ab = b - a, ac = c - a;
+        normal = glm::cross(ab, ac);
+        const double edge2 = glm::dot(ab, ab) + glm::dot(ac, ac);
+        const double size2 = glm::dot(a, a) + edge2 + origin2;
+        hasArea = glm::dot(normal, normal) > kRounding * kRounding * size2 * edge2;
+    }
+};
+
+/// A projected corner.
+struct Vertex {
+    glm::dvec3 light{0.0};
+    glm::dvec2 raster{0.0};
+    std::int32_t x = 0, y = 0;  ///< snapped, in grid steps
+    std::uint32_t flags = 0;    ///< 0: finite, between near and far, within the window
+};
+
+/// All that drawing needs, in one cache line. Corners run clockwise as seen on the raster
+/// (y down).
+struct PreparedTriangle {
+    std::int32_t x[3], y[3];
+    /// On the plane, q = at + dx * (x - x[0]) + dy * (y - y[0]) with x and y in pixels; q
+    /// is 1/z for a perspective projection and z for an orthographic one.
+    double at, dx, dy;
+    float zMin, zMax;
+    float opacity;
+};
+
+/// Pixels x0..x1, y0..y1, both ends included; empty when x0 > x1 or y0 > y1.
+struct PixelRect {
+    std::int32_t x0, y0, x1, y1;
+
+    [[nodiscard]] bool empty() const noexcept { return x0 > x1 || y0 > y1; }
+};
+
+class TriangleSetup {
+  public:
+    /// Sides are 1..kMaxResolution.
+    TriangleSetup(const Projection& projection, std::uint32_t width, std::uint32_t height,
+                  Facing keep) noexcept;
+
+    [[nodiscard]] Vertex vertex(glm::dvec3 light) const noexcept;
+
+    /// Appends the triangle to `out` (in several pieces if it had to be cut, not at all
+    /// if it covers no pixel centre) and counts what it was. `mirrored`: its winding is
+    /// that of an object space that the world sees in a mirror. `origin2`: see
+    /// TriangleNormal.
+    void triangle(const Vertex& a, const Vertex& b, const Vertex& c, bool mirrored,
+                  double origin2, float opacity, TriangleCounts& counts,
+                  std::vector<PreparedTriangle>& out) const;
+
+  private:
+    struct Plane;
+    [[nodiscard]] Vertex projected(glm::dvec3 light) const noexcept;
+    void cut(const Vertex (&corners)[3], const Plane& plane, float opacity,
+             TriangleCounts& counts, std::vector<PreparedTriangle>& out) const;
+    void emit(const Vertex& a, const Vertex& b, const Vertex& c, const Plane& plane,
+              float opacity, std::vector<PreparedTriangle>& out) const;
+    [[nodiscard]] bool missesWindow(const Vertex* corners,
+                                    std::size_t count) const noexcept;
+
+    bool perspective_;
+    Facing keep_;
+    glm::dvec2 scale_, offset_, worldPerPixel_;
+    double near_, far_;
+    glm::dvec2 guardMin_, guardMax_;  ///< vertices within need no guard band
+    ClipPlane guard_[4];
+    std::int32_t width_, height_;
+};
+
+/// Pixels whose centres lie in the bounding box of the snapped corners.
+[[nodiscard]] inline PixelRect pixelBounds(const PreparedTriangle& t) noexcept {
+    constexpr std::int32_t half = kSubpixels / 2;
+    const auto first = [](std::int32_t v) { return (v + half - 1) >> kSubpixelBits; };
+    const auto last = [](std::int32_t v) { return (v - half) >> kSubpixelBits; };
+    return {first(std::min({t.x[0], t.x[1], t.x[2]})),
+            first(std::min({t.y[0], t.y[1], t.y[2]})),
+            last(std::max({t.x[0], t.x[1], t.x[2]})),
+            last(std::max({t.y[0], t.y[1], t.y[2]}))};
+}
+
+[[nodiscard]] inline PixelRect intersect(PixelRect a, PixelRect b) noexcept {
+    return {std::max(a.x0, b.x0), std::max(a.y0, b.y0), std::min(a.x1, b.x1),
+            std::min(a.y1, b.y1)};
+}
+
+namespace detail {
+
+/// The three edge functions at one pixel centre: all >= 0 where it is covered. Ties are
+/// already decided: an edge that is neither top nor left is lowered by one.
+struct Edges {
+    std::int64_t value[3], stepX[3], stepY[3];
+
+    Edges(const PreparedTriangle& t, std::int32_t pixelX, std::int32_t pixelY) noexcept {
+        const std::int64_t px = (std::int64_t(pixelX) << kSubpixelBits) + kSubpixels / 2;
+        const std::int64_t py = (std::int64_t(pixelY) << kSubpixelBits) + kSubpixels / 2;
+        for (int i = 0; i < 3; ++i) {
+            const int j = i == 2 ? 0 : i + 1;
+            const std::int64_t dx = t.x[j] - t.x[i], dy = t.y[j] - t.y[i];
+            const bool topLeft = dy < 0 || (dy == 0 && dx > 0);
+            value[i] = dx * (py - t.y[i]) - dy * (px - t.x[i]) - (topLeft ? 0 : 1);
+            stepX[i] = -dy * kSubpixels;
+            stepY[i] = dx * kSubpixels;
+        }
+    }
+
+    /// True if one edge has all of a rectangle, w x h pixels from here, outside.
+    [[nodiscard]] bool miss(std::int64_t w, std::int64_t h) const noexcept {
+        for (int i = 0; i < 3; ++i) {
+            const std::int64_t right = std::max<std::int64_t>(0, stepX[i] * (w - 1));
+            const std::int64_t down = std::max<std::int64_t>(0, stepY[i] * (h - 1));
+            if (value[i] + right + down < 0) return true;
+        }
+        return false;
+    }
+
+    /// Narrows [first, last] to the pixels of this row, numbered from here, that are
+    /// covered.
+    void span(std::int64_t& first, std::int64_t& last) const noexcept {
+        for (int i = 0; i < 3; ++i) {
+            const std::int64_t e = value[i], step = stepX[i];
+            if (step > 0) {
+                if (e < 0) first = std::max(first, (step - 1 - e) / step);
+            } else if (e < 0) {
+                last = -1;
+            } else if (step < 0) {
+                last = std::min(last, e / -step);
+            }
+        }
+    }
+
+    void down() noexcept {
+        for (int i = 0; i < 3; ++i)
+            value[i] += stepY[i];
+    }
+};
+
+}  // namespace detail
+
+/// Calls sink(x, y, z) for each pixel of `within` whose centre the triangle covers.
+/// `kind` is that of the projection it was prepared for.
+template <ProjectionKind kind, typename Sink>
+inline void drawTriangle(const PreparedTriangle& t, PixelRect within, Sink&& sink) {
+    const PixelRect r = intersect(pixelBounds(t), within);
+    if (r.empty()) return;
+    const double toX = 0.5 - t.x[0] * (1.0 / kSubpixels);
+    const double toY = 0.5 - t.y[0] * (1.0 / kSubpixels);
+    const auto depth = [&](double row, std::int32_t x) {
+        const double q = row + t.dx * (x + toX);
+        double z = q;
+        if constexpr (kind == ProjectionKind::perspective)
+            z = q > 0.0 ? 1.0 / q : double(t.zMax);  // the plane runs past the ray
+        return float(std::min(std::max(z, double(t.zMin)), double(t.zMax)));
+    };
+    detail::Edges edges(t, r.x0, r.y0);
+    const std::int32_t w = r.x1 - r.x0 + 1, h = r.y1 - r.y0 + 1;
+    constexpr std::int32_t kNarrow = 6;  // measured: below, testing beats dividing
+    if (w <= kNarrow) {
+        for (std::int32_t y = r.y0; y <= r.y1; ++y) {
+            const double row = t.at + t.dy * (y + toY);
+            std::int64_t a = edges.value[0], b = edges.value[1], c = edges.value[2];
+            for (std::int32_t x = r.x0; x <= r.x1; ++x) {
+                if ((a | b | c) >= 0) sink(x, y, depth(row, x));
+                a += edges.stepX[0];
+                b += edges.stepX[1];
+                c += edges.stepX[2];
+            }
+            edges.down();
+        }
+        return;
+    }
+    if (edges.miss(w, h)) return;
+    for (std::int32_t y = r.y0; y <= r.y1; ++y) {
+        const double row = t.at + t.dy * (y + toY);
+        std::int64_t first = 0, last = w - 1;
+        edges.span(first, last);
+        for (std::int64_t i = first; i <= last; ++i) {
+            const std::int32_t x = r.x0 + std::int32_t(i);
+            sink(x, y, depth(row, x));
+        }
+        edges.down();
+    }
+}
+
+}  // namespace mtsm::raster

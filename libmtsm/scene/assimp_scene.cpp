@@ -1,0 +1,97 @@
+#include "scene/assimp_scene.h"
+
+#include <assimp/config.h>
+#include <assimp/importerdesc.h>
+#include <assimp/postprocess.h>
+
+#include <assimp/DefaultLogger.hpp>
+#include <cstring>
+#include <string_view>
+
+#include "base/message.h"
+
+namespace mtsm::scene {
+namespace {
+
+/// Keeps what an importer says while it reads one file.
+class ImportLog final : public Assimp::Logger {
+  public:
+    ImportLog() : Logger(NORMAL) {}
+    bool attachStream(Assimp::LogStream*, unsigned) override { return false; }
+    bool detachStream(Assimp::LogStream*, unsigned) override { return false; }
+
+    std::string firstError;
+    std::size_t errors = 0;
+    bool facesDropped = false;
+
+  protected:
+    void OnDebug(const char*) override {}
+    void OnVerboseDebug(const char*) override {}
+    void OnInfo(const char*) override {}
+    void OnWarn(const char* message) override {
+        // The glTF importer leaves such faces out and says no more than this.
+        if (std::strstr(message, "out-of-range indices")) facesDropped = true;
+    }
+    void OnError(const char* message) override {
+        // Said of every OBJ file that chooses a material before it names an object.
+        if (std::strstr(message, "No object detected to attach")) return;
+        if (errors++ == 0) firstError = message;
+    }
+};
+
+}  // namespace
+
+AssimpScene::AssimpScene(const std::string& path, FrameWriter& out) {
+    auto* log = new ImportLog;  // the logger owns it
+    Assimp::DefaultLogger::set(log);
+    importer_.SetPropertyBool(AI_CONFIG_IMPORT_NO_SKELETON_MESHES, true);
+    importer_.SetPropertyBool(AI_CONFIG_IMPORT_COLLADA_USE_COLLADA_NAMES, true);
+    const aiScene* scene = importer_.ReadFile(path, 0);
+    if (!scene) {
+        const std::string_view reason = importer_.GetErrorString();
+        out.failure(
+            ErrorCode::badFile,
+            base::concat(path, ": ",
+                         reason.starts_with("std::")
+                             ? "a size that the file states is impossible; repair it"
+                             : reason));
+        return;
+    }
+    if (log->facesDropped) {
+        out.failure(ErrorCode::badFile,
+                    base::concat(path,
+                                 ": a face refers to a vertex that its mesh does not "
+                                 "have; re-export or repair the file"));
+        return;
+    }
+    if (log->errors > 0)
+        out.warning(base::concat(
+            path, ": the importer reports ", log->errors,
+            log->errors == 1 ? " problem: " : " problems, first: ", log->firstError));
+    scene_ = scene;
+}
+
+SourceFormat AssimpScene::format() const {
+    const int index = importer_.GetPropertyInteger("importerIndex", -1);
+    if (index < 0) return SourceFormat::other;
+    const aiImporterDesc* importer = importer_.GetImporterInfo(std::size_t(index));
+    const std::string_view name = importer && importer->mName ? importer->mName : "";
+    if (name.find("Collada") != name.npos) return SourceFormat::collada;
+    if (name.find("glTF") != name.npos) return SourceFormat::gltf;
+    return SourceFormat::other;
+}
+
+bool AssimpScene::triangulate() {
+    scene_ = importer_.ApplyPostProcessing(aiProcess_Triangulate);
+    return scene_ != nullptr;
+}
+
+glm::dmat4 toDouble(const aiMatrix4x4& m) {
+    // Rows there, columns here; the last row of an affine matrix is known.
+    return {{m.a1, m.b1, m.c1, 0.0},
+            {m.a2, m.b2, m.c2, 0.0},
+            {m.a3, m.b3, m.c3, 0.0},
+            {m.a4, m.b4, m.c4, 1.0}};
+}
+
+}  // namespace mtsm::scene

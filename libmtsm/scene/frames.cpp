@@ -1,0 +1,138 @@
+// Frames: written without a doubt in the child, read without any trust in the parent.
+#include "scene/frames.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+namespace mtsm::scene {
+namespace {
+
+struct FrameHead {
+    FrameKind kind;
+    std::uint32_t bytes;
+};
+
+/// Names and messages end up in one line of somebody's terminal.
+std::string printable(std::string_view text) {
+    std::string clean(text);
+    std::replace_if(
+        clean.begin(), clean.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; },
+        ' ');
+    return clean;
+}
+
+template <typename T>
+std::span<const std::uint8_t> bytesOf(const T& value) {
+    return {reinterpret_cast<const std::uint8_t*>(&value), sizeof(T)};
+}
+
+template <typename T>
+std::optional<T> recordOf(const std::vector<std::uint8_t>& payload) {
+    if (payload.size() < sizeof(T)) return std::nullopt;
+    T value;
+    std::memcpy(&value, payload.data(), sizeof(T));
+    return value;
+}
+
+bool isProportion(float x) {
+    return x >= 0.0f && x <= 1.0f;
+}
+
+}  // namespace
+
+void FrameWriter::frame(FrameKind kind, std::span<const std::uint8_t> record,
+                        std::string_view text) {
+    const std::string clean = printable(text.substr(0, kMaxFrameBytes - record.size()));
+    const FrameHead head{kind, std::uint32_t(record.size() + clean.size())};
+    out_.write(&head, sizeof(head));
+    out_.write(record.data(), record.size());
+    out_.write(clean.data(), clean.size());
+}
+
+void FrameWriter::failure(ErrorCode code, std::string_view text) {
+    frame(FrameKind::failure, bytesOf(std::uint32_t(code)), text);
+}
+
+void FrameWriter::mesh(std::span<const float> coordinates,
+                       std::span<const std::uint32_t> indices,
+                       std::span<const Instance> instances) {
+    const MeshHead head{coordinates.size() / 3, indices.size() / 3, instances.size()};
+    frame(FrameKind::mesh, bytesOf(head), {});
+    out_.write(instances.data(), instances.size_bytes());
+    out_.write(coordinates.data(), coordinates.size_bytes());
+    out_.write(indices.data(), indices.size_bytes());
+}
+
+void FrameWriter::light(const LightRecord& light, std::string_view name) {
+    frame(FrameKind::light, bytesOf(light), name);
+}
+
+std::string Frame::text(std::size_t from) const {
+    if (from >= payload.size()) return {};
+    return {payload.begin() + std::ptrdiff_t(from), payload.end()};
+}
+
+std::optional<Frame> FrameReader::next() {
+    FrameHead head;
+    if (in_.read(&head, sizeof(head)) != sizeof(head)) return std::nullopt;
+    if (head.kind < FrameKind::warning || head.kind > FrameKind::end) return std::nullopt;
+    if (head.bytes > kMaxFrameBytes) return std::nullopt;
+    Frame frame{head.kind, std::vector<std::uint8_t>(head.bytes)};
+    if (in_.read(frame.payload.data(), head.bytes) != head.bytes) return std::nullopt;
+    return frame;
+}
+
+template <typename T>
+bool FrameReader::fill(std::vector<T>& to, std::uint64_t count) {
+    constexpr std::uint64_t kStep = (std::uint64_t(16) << 20) / sizeof(T);
+    while (to.size() < count) {
+        const std::uint64_t have = to.size();
+        const std::uint64_t more = std::min(count - have, std::max(have, kStep));
+        to.reserve(have + more);
+        to.resize(have + more);
+        if (in_.read(to.data() + have, more * sizeof(T)) != more * sizeof(T))
+            return false;
+    }
+    return true;
+}
+
+std::optional<PlacedMesh> FrameReader::mesh(const Frame& frame) {
+    const auto head = recordOf<MeshHead>(frame.payload);
+    if (!head) return std::nullopt;
+    const auto fits = [&](std::uint64_t count, std::uint64_t bytesEach) {
+        return count <= maxMeshBytes_ / bytesEach;
+    };
+    if (!fits(head->vertices, sizeof(glm::vec3)) || !fits(head->triangles, 12) ||
+        !fits(head->instances, sizeof(Instance)) ||
+        head->vertices > std::numeric_limits<std::uint32_t>::max())
+        return std::nullopt;
+    PlacedMesh mesh;
+    if (!fill(mesh.instances, head->instances) || !fill(mesh.positions, head->vertices) ||
+        !fill(mesh.indices, head->triangles * 3))
+        return std::nullopt;
+    if (!std::all_of(mesh.indices.begin(), mesh.indices.end(),
+                     [&](std::uint32_t i) { return i < head->vertices; }) ||
+        !std::all_of(mesh.instances.begin(), mesh.instances.end(),
+                     [](const Instance& i) { return isProportion(i.opacity); }))
+        return std::nullopt;
+    return mesh;
+}
+
+std::optional<FileLight> FrameReader::light(const Frame& frame) {
+    const auto record = recordOf<LightRecord>(frame.payload);
+    if (!record) return std::nullopt;
+    FileLight light;
+    light.name = frame.text(sizeof(LightRecord));
+    light.light.shape = record->shape;
+    light.light.position = record->position;
+    light.light.direction = record->direction;
+    light.light.up = record->up;
+    light.light.size = {record->width, record->height};
+    if (record->fov > 0.0 && std::isfinite(record->fov)) light.fov = record->fov;
+    if (!checkLight(light.light)) return std::nullopt;
+    return light;
+}
+
+}  // namespace mtsm::scene
