@@ -83,5 +83,3 @@ BENCHMARK(writeFile)
     ->Unit(benchmark::kMillisecond);
 BENCHMARK(readFile)->ArgName("zstd")->Arg(0)->Arg(1)->Arg(3)->Arg(9)->UseRealTime()->Unit(
     benchmark::kMillisecond);
-
-BENCHMARK_MAIN();

@@ -74,5 +74,3 @@ BENCHMARK(traceFloor)
     ->Args({1024, 33, 2})
     ->UseRealTime()
     ->Unit(benchmark::kMillisecond);
-
-BENCHMARK_MAIN();
