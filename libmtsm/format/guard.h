@@ -1,0 +1,31 @@
+// guard.h - the edge where exceptions of the standard library and oneTBB become errors.
+#pragma once
+#include <exception>
+#include <new>
+#include <stdexcept>
+#include <string>
+
+#include "base/message.h"
+
+namespace mtsm::format {
+
+/// What `work` returns, or an error in its place if it throws. `doing` is "read" or
+/// "write".
+template <typename Work>
+auto guarded(const std::string& name, const char* doing, Work&& work)
+    -> decltype(work()) {
+    try {
+        return work();
+    } catch (const std::bad_alloc&) {
+        return base::makeError(ErrorCode::tooLarge, name, ": not enough memory to ",
+                               doing, " it");
+    } catch (const std::length_error&) {
+        return base::makeError(ErrorCode::tooLarge, name, ": not enough memory to ",
+                               doing, " it");
+    } catch (const std::exception& e) {
+        return base::makeError(ErrorCode::io, name, ": cannot ", doing,
+                               " it: ", e.what());
+    }
+}
+
+}  // namespace mtsm::format

@@ -1,0 +1,124 @@
+#include "format/sink.h"
+
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <filesystem>
+#include <system_error>
+
+#include "base/message.h"
+#include "format/system_error.h"
+
+namespace mtsm::format {
+namespace {
+
+namespace fs = std::filesystem;
+using base::makeError;
+
+constexpr int kMostLinks = 40;          // as Linux follows before it says ELOOP
+constexpr int kMostTemporaries = 1000;  // left over from processes that were killed
+
+/// Follows symbolic links by hand, since the last one may point to what is not there yet.
+fs::path followLinks(fs::path path, std::error_code& error) {
+    for (int i = 0; i < kMostLinks; ++i) {
+        std::error_code none;
+        if (!fs::is_symlink(fs::symlink_status(path, none))) return path;
+        const fs::path link = fs::read_symlink(path, error);
+        if (error) return path;
+        path = path.parent_path() / link;  // an absolute link replaces all of it
+    }
+    error = std::make_error_code(std::errc::too_many_symbolic_link_levels);
+    return path;
+}
+
+}  // namespace
+
+Error FileSink::failed(const char* what, int reason) const {
+    return makeError(ErrorCode::io, path_, ": ", what, ": ", systemReason(reason));
+}
+
+FileSink::~FileSink() {
+    if (fd_ >= 0) ::close(fd_);
+    if (!temporary_.empty()) ::unlink(temporary_.c_str());
+}
+
+Status FileSink::open() {
+    struct stat info = {};
+    const bool exists = ::stat(path_.c_str(), &info) == 0;
+    if (!exists && errno != ENOENT) return failed("cannot write here", errno);
+    if (exists && S_ISDIR(info.st_mode))
+        return makeError(ErrorCode::io, path_, ": is a folder, not a file to write");
+    if (exists && !S_ISREG(info.st_mode)) {
+        fd_ = ::open(path_.c_str(), O_WRONLY | O_CLOEXEC);
+        return fd_ < 0 ? Status(failed("cannot open for writing", errno)) : Status();
+    }
+    return openTemporary(exists, info.st_mode & 07777);
+}
+
+Status FileSink::openTemporary(bool exists, mode_t mode) {
+    std::error_code error;
+    const fs::path target = followLinks(path_, error);
+    if (error) return failed("cannot follow the link", error.value());
+    target_ = target.string();
+    folder_ = target.has_parent_path() ? target.parent_path().string() : ".";
+    if (!target.has_filename())
+        return makeError(ErrorCode::io, path_, ": names a folder, not a file to write");
+
+    // The process id keeps processes apart, the number threads and what was left behind.
+    for (int i = 0; i < kMostTemporaries; ++i) {
+        std::string name = base::concat(folder_, "/.mtsm-", ::getpid(), "-", i, ".part");
+        fd_ = ::open(name.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
+        if (fd_ >= 0) {
+            temporary_ = std::move(name);
+            break;
+        }
+        if (errno != EEXIST)
+            return failed("cannot make a temporary file in its folder", errno);
+    }
+    if (fd_ < 0) return failed("cannot make a temporary file in its folder", EEXIST);
+    if (exists && ::fchmod(fd_, mode) != 0)
+        return failed("cannot keep its permissions", errno);
+    return {};
+}
+
+Status FileSink::write(std::span<const std::uint8_t> bytes) {
+    while (!bytes.empty()) {
+        const ssize_t done = ::write(fd_, bytes.data(), bytes.size());
+        if (done < 0 && errno == EINTR) continue;
+        if (done < 0) return failed("cannot write", errno);
+        if (done == 0) return failed("cannot write", ENOSPC);
+        bytes = bytes.subspan(static_cast<std::size_t>(done));
+    }
+    return {};
+}
+
+Status FileSink::commit() {
+    const bool replaces = !temporary_.empty();
+    if (replaces && ::fsync(fd_) != 0) return failed("cannot sync to the disk", errno);
+    // Some file systems say only now that a write did not succeed. Linux closes even
+    // when it says EINTR.
+    const int closed = ::close(fd_);
+    fd_ = -1;
+    if (closed != 0 && errno != EINTR) return failed("cannot close", errno);
+    if (!replaces) return {};
+    if (::rename(temporary_.c_str(), target_.c_str()) != 0)
+        return failed("cannot move the finished file over it", errno);
+    temporary_.clear();
+    return syncFolder();
+}
+
+/// Makes the rename last. A folder that may not be opened, or a file system that does not
+/// sync folders, is no failure of the file.
+Status FileSink::syncFolder() const {
+    const int folder = ::open(folder_.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    if (folder < 0)
+        return errno == EACCES ? Status() : failed("cannot open its folder", errno);
+    const int reason = ::fsync(folder) == 0 ? 0 : errno;
+    ::close(folder);
+    if (reason != 0 && reason != EINVAL) return failed("cannot sync its folder", reason);
+    return {};
+}
+
+}  // namespace mtsm::format

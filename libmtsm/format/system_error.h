@@ -1,0 +1,13 @@
+// system_error.h - errno in words.
+#pragma once
+#include <string>
+#include <system_error>
+
+namespace mtsm::format {
+
+/// What the system calls this errno, as std::strerror but safe in any thread.
+inline std::string systemReason(int error) {
+    return std::generic_category().message(error);
+}
+
+}  // namespace mtsm::format

@@ -1,0 +1,278 @@
+#include "format/tile_decode.h"
+
+#include <zstd.h>
+
+#include <algorithm>
+#include <cstring>
+#include <new>
+
+#include "base/bytes.h"
+#include "base/message.h"
+#include "format/gradient.h"
+
+namespace mtsm::format {
+namespace {
+
+using base::makeError;
+
+template <typename... Parts>
+Error bad(const Parts&... parts) {
+    return makeError(ErrorCode::badFile, parts...);
+}
+
+struct FreeContext {
+    void operator()(ZSTD_DCtx* context) const { ZSTD_freeDCtx(context); }
+};
+
+/// What the plane at one position of the payload has to be.
+struct PlaneSlot {
+    PlaneKind kind;
+    std::uint8_t channel;
+};
+
+std::vector<PlaneSlot> planesOf(const TileFacts& facts) {
+    std::vector<PlaneSlot> slots = {{PlaneKind::counts, 0}, {PlaneKind::z, 0}};
+    for (std::uint32_t c = 0; (facts.planes & kHasV) && c < facts.channels; ++c)
+        slots.push_back({PlaneKind::v, static_cast<std::uint8_t>(c)});
+    if (facts.planes & kHasN) slots.push_back({PlaneKind::n, 0});
+    return slots;
+}
+
+std::string text(PlaneSlot slot) {
+    switch (slot.kind) {
+        case PlaneKind::counts:
+            return "plane counts";
+        case PlaneKind::z:
+            return "plane z";
+        case PlaneKind::v:
+            return base::concat("plane v of channel ", int(slot.channel));
+        case PlaneKind::n:
+            break;
+    }
+    return "plane n";
+}
+
+std::uint64_t elementsOf(PlaneSlot slot, const TileFacts& facts) {
+    return slot.kind == PlaneKind::counts ? facts.place.pixels() : facts.layers;
+}
+
+/// Everything about a record that can be wrong before its bytes are looked at.
+Status checkRecord(const PlaneRecord& r, PlaneSlot slot, const TileFacts& facts) {
+    const bool isFloat = slot.kind == PlaneKind::z || slot.kind == PlaneKind::v;
+    if (r.kind != std::uint8_t(slot.kind) || r.channel != slot.channel)
+        return bad("is announced as kind ", int(r.kind), ", channel ", int(r.channel));
+    if (std::any_of(r.reserved.begin(), r.reserved.end(),
+                    [](auto b) { return b != 0; }) ||
+        r.reserved2 != 0)
+        return bad("reserved bytes are not zero");
+    if (r.elementSize != 4 && (isFloat || (r.elementSize != 1 && r.elementSize != 2)))
+        return bad("elements of ", int(r.elementSize), " bytes");
+    if (r.decodedLength != elementsOf(slot, facts) * r.elementSize)
+        return bad("claims ", r.decodedLength, " decoded bytes, not ",
+                   elementsOf(slot, facts), " elements of ", int(r.elementSize));
+    if (r.encoding > std::uint8_t(PlaneEncoding::zstd))
+        return bad("unknown encoding ", int(r.encoding));
+    if (r.filter > std::uint8_t(PlaneFilter::gradient))
+        return bad("unknown filter ", int(r.filter));
+
+    const auto encoding = PlaneEncoding(r.encoding);
+    const auto filter = PlaneFilter(r.filter);
+    if (encoding != PlaneEncoding::zstd && filter != PlaneFilter::none)
+        return bad("filter ", int(r.filter), " on a plane that is not compressed");
+    if (filter == PlaneFilter::shuffle && r.elementSize == 1)
+        return bad("the shuffle filter on elements of one byte");
+    if (filter == PlaneFilter::gradient && !isFloat)
+        return bad("the gradient filter on a plane of integers");
+    if (encoding != PlaneEncoding::constant && r.constant != 0)
+        return bad("a constant on a plane that is not constant");
+    if (encoding == PlaneEncoding::constant && r.elementSize < 4 &&
+        r.constant >> (8 * r.elementSize) != 0)
+        return bad("constant ", r.constant, " does not fit in ", int(r.elementSize),
+                   " bytes");
+    const bool fits = encoding == PlaneEncoding::raw ? r.storedLength == r.decodedLength
+                      : encoding == PlaneEncoding::constant
+                          ? r.storedLength == 0
+                          : r.storedLength < r.decodedLength;
+    if (!fits)
+        return bad("stores ", r.storedLength, " bytes for ", r.decodedLength,
+                   " with encoding ", int(r.encoding));
+    return {};
+}
+
+}  // namespace
+
+std::uint64_t leastTileBytes(const TileFacts& facts) noexcept {
+    std::uint64_t planes = 2;
+    if (facts.planes & kHasV) planes += facts.channels;
+    if (facts.planes & kHasN) planes += 1;
+    return sizeof(TileRecord) + planes * sizeof(PlaneRecord);
+}
+
+std::uint64_t mostTileBytes(const TileFacts& facts) noexcept {
+    std::uint64_t perLayer = 4;
+    if (facts.planes & kHasV) perLayer += 4 * std::uint64_t(facts.channels);
+    if (facts.planes & kHasN) perLayer += 4;
+    return leastTileBytes(facts) + 4 * std::uint64_t(facts.place.pixels()) +
+           perLayer * facts.layers;
+}
+
+struct TileDecoder::Scratch {
+    Scratch() {
+        if (!context) throw std::bad_alloc();
+    }
+    std::unique_ptr<ZSTD_DCtx, FreeContext> context{ZSTD_createDCtx()};
+    std::vector<PlaneRecord> records;
+    Bytes decoded;
+    std::vector<std::uint32_t> values;  // the plane that was read last
+
+    Status readPlane(const PlaneRecord& r, BytesView stored,
+                     std::span<const std::uint32_t> begin, std::uint32_t width);
+    Status decompress(BytesView frame, std::uint64_t decodedLength);
+    void unpredict(std::span<const std::uint32_t> begin, std::uint32_t width);
+};
+
+TileDecoder::TileDecoder() : scratch_(std::make_unique<Scratch>()) {}
+TileDecoder::~TileDecoder() = default;
+TileDecoder::TileDecoder(TileDecoder&&) noexcept = default;
+
+const std::vector<PlaneRecord>& TileDecoder::records() const noexcept {
+    return scratch_->records;
+}
+
+/// Exactly one frame, that states exactly this content size, into `decoded`.
+Status TileDecoder::Scratch::decompress(BytesView frame, std::uint64_t decodedLength) {
+    const auto content = ZSTD_getFrameContentSize(frame.data(), frame.size());
+    if (content == ZSTD_CONTENTSIZE_ERROR || content == ZSTD_CONTENTSIZE_UNKNOWN)
+        return bad("no zstd frame that states its content size");
+    if (content != decodedLength)
+        return bad("a zstd frame of ", content, " bytes, not ", decodedLength);
+    if (ZSTD_findFrameCompressedSize(frame.data(), frame.size()) != frame.size())
+        return bad("more or less than one zstd frame");
+    decoded.resize(decodedLength);
+    const std::size_t got = ZSTD_decompressDCtx(
+        context.get(), decoded.data(), decoded.size(), frame.data(), frame.size());
+    if (ZSTD_isError(got)) return bad("zstd: ", ZSTD_getErrorName(got));
+    if (got != decodedLength)
+        return bad("zstd gave ", got, " bytes, not ", decodedLength);
+    return {};
+}
+
+/// Undoes the gradient filter in place: a layer's neighbours are all done before it.
+void TileDecoder::Scratch::unpredict(std::span<const std::uint32_t> begin,
+                                     std::uint32_t width) {
+    const GradientPredictor predict(begin, width, values.data());
+    for (std::uint32_t p = 0, x = 0, y = 0; p + 1 < begin.size(); ++p) {
+        for (std::uint32_t i = begin[p]; i < begin[p + 1]; ++i)
+            values[i] = unzigzag(values[i]) + predict(x, y, i - begin[p]);
+        if (++x == width) x = 0, ++y;
+    }
+}
+
+/// A checked record and its bytes into `values`.
+Status TileDecoder::Scratch::readPlane(const PlaneRecord& r, BytesView stored,
+                                       std::span<const std::uint32_t> begin,
+                                       std::uint32_t width) {
+    const std::size_t size = r.elementSize;
+    const std::size_t n = r.decodedLength / size;
+    if (PlaneEncoding(r.encoding) == PlaneEncoding::constant) {
+        values.assign(n, r.constant);
+        return {};
+    }
+    BytesView bytes = stored;
+    if (PlaneEncoding(r.encoding) == PlaneEncoding::zstd) {
+        if (auto s = decompress(stored, r.decodedLength); !s) return s;
+        bytes = decoded;
+    }
+    // Byte j of element i lies at i * size + j, or shuffled at j * n + i.
+    const bool shuffled = PlaneFilter(r.filter) != PlaneFilter::none;
+    const std::size_t perElement = shuffled ? 1 : size, perByte = shuffled ? n : 1;
+    values.assign(n, 0);
+    for (std::size_t j = 0; j < size; ++j) {
+        const std::uint8_t* const from = bytes.data() + j * perByte;
+        for (std::size_t i = 0; i < n; ++i)
+            values[i] |= std::uint32_t(from[i * perElement]) << (8 * j);
+    }
+    if (PlaneFilter(r.filter) == PlaneFilter::gradient) unpredict(begin, width);
+    return {};
+}
+
+namespace {
+
+Status checkTileRecord(const TileRecord& t, const TileFacts& facts) {
+    const TilePlace& p = facts.place;
+    if (t.face != p.face || t.tx != p.tx || t.ty != p.ty)
+        return bad("calls itself tile face ", t.face, " (", t.tx, ", ", t.ty, ")");
+    if (t.width != p.width || t.height != p.height)
+        return bad("has ", t.width, " x ", t.height, " pixels, not ", p.width, " x ",
+                   p.height);
+    if (t.layers != facts.layers)
+        return bad("has ", t.layers, " layers, the index says ", facts.layers);
+    if (t.planes != facts.planes)
+        return bad("has planes ", t.planes, ", the index says ", facts.planes);
+    if (t.reserved != 0) return bad("reserved bytes are not zero");
+    return {};
+}
+
+/// Layers per pixel into offsets; they must add up to all layers.
+Status sumCounts(std::span<const std::uint32_t> counts, std::uint32_t layers,
+                 std::vector<std::uint32_t>& begin) {
+    std::uint64_t sum = 0;
+    begin.reserve(counts.size() + 1);
+    begin.push_back(0);
+    for (std::uint32_t count : counts) {
+        sum += count;
+        if (sum > layers) break;
+        begin.push_back(static_cast<std::uint32_t>(sum));
+    }
+    if (sum != layers)
+        return bad("layers of all pixels add up to ", sum > layers ? "more" : "fewer",
+                   " than the tile's ", layers);
+    return {};
+}
+
+}  // namespace
+
+Result<Tile> TileDecoder::decode(BytesView payload, const TileFacts& facts) {
+    Scratch& s = *scratch_;
+    base::ByteReader in(payload);
+    const auto head = in.get<TileRecord>();
+    if (!in.ok()) return bad("ends within its first ", sizeof head, " bytes");
+    if (auto status = checkTileRecord(head, facts); !status) return status.error();
+    const std::vector<PlaneSlot> slots = planesOf(facts);
+    if (head.planeCount != slots.size())
+        return bad("has ", head.planeCount, " planes, not ", slots.size());
+    s.records.clear();
+    for (const PlaneSlot& slot : slots) {
+        s.records.push_back(in.get<PlaneRecord>());
+        if (!in.ok()) return bad("ends within the record of ", text(slot));
+        if (auto status = checkRecord(s.records.back(), slot, facts); !status)
+            return bad(text(slot), ": ", status.error().message);
+    }
+
+    Tile tile;
+    for (std::size_t i = 0; i < slots.size(); ++i) {
+        const PlaneRecord& r = s.records[i];
+        const BytesView stored = in.bytes(r.storedLength);
+        if (!in.ok()) return bad(text(slots[i]), ": reaches past the end");
+        Status status = s.readPlane(r, stored, tile.begin, facts.place.width);
+        if (status && slots[i].kind == PlaneKind::counts)
+            status = sumCounts(s.values, facts.layers, tile.begin);
+        if (!status) return bad(text(slots[i]), ": ", status.error().message);
+        const auto appendFloats = [&](std::vector<float>& to) {
+            const std::size_t at = to.size();
+            to.resize(at + s.values.size());
+            std::memcpy(to.data() + at, s.values.data(), s.values.size() * sizeof(float));
+        };
+        if (slots[i].kind == PlaneKind::z) appendFloats(tile.z);
+        if (slots[i].kind == PlaneKind::v) {
+            if (tile.v.empty())
+                tile.v.reserve(std::size_t(facts.layers) * facts.channels);
+            appendFloats(tile.v);
+        }
+        if (slots[i].kind == PlaneKind::n) tile.n = s.values;
+    }
+    if (in.left() != 0) return bad(in.left(), " bytes are left over at its end");
+    return tile;
+}
+
+}  // namespace mtsm::format

@@ -1,0 +1,211 @@
+// Bytes leave in one pass from front to back, so that a pipe will do. Tiles are encoded
+// in parallel, a bounded number at a time, and written in order: the bytes do not depend
+// on the number of threads.
+#include "mtsm/writer.h"
+
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_pipeline.h>
+#include <tbb/task_arena.h>
+
+#include <atomic>
+#include <bit>
+#include <memory>
+
+#include "base/bytes.h"
+#include "base/checksum.h"
+#include "base/message.h"
+#include "format/guard.h"
+#include "format/header.h"
+#include "format/hierarchy.h"
+#include "format/index.h"
+#include "format/layout.h"
+#include "format/sink.h"
+#include "format/tile_encode.h"
+
+namespace mtsm {
+namespace format {
+namespace {
+
+using base::makeError;
+
+/// A block as it lies in the file, and what the index says of it.
+struct Block {
+    Bytes bytes;
+    BlockHeader header = {};
+};
+
+Block makeBlock(BlockType type, std::uint32_t flags, BytesView payload) {
+    Block block;
+    BlockHeader& h = block.header;
+    h.type = type;
+    h.flags = flags;
+    h.length = payload.size();
+    h.payloadChecksum = base::checksum(payload);
+    const auto bytes = std::bit_cast<std::array<std::uint8_t, sizeof h>>(h);
+    h.headerChecksum =
+        base::checksum(BytesView(bytes).first(offsetof(BlockHeader, headerChecksum)));
+    block.bytes.reserve(blockSpan(h.length));
+    base::ByteWriter out(block.bytes);
+    out.put(h);
+    out.bytes(payload);
+    out.zeros(blockSpan(h.length) - sizeof h - h.length);
+    return block;
+}
+
+/// Writes a map's parts in order and keeps the index of what it wrote.
+class MapWriter {
+  public:
+    MapWriter(const ShadowMap& map, const WriteOptions& options, Sink& sink)
+        : map_(map),
+          options_(options),
+          sink_(sink),
+          prefix_(makePrefix(map)),
+          grid_(prefix_) {
+        index_.tiles.resize(grid_.count());
+    }
+
+    Status run() {
+        const Result<Bytes> head = encodeHead(map_);
+        if (!head) return head.error();
+        const Result<Bytes> attributes = encodeAttributes(map_.info().attributes);
+        if (!attributes) return attributes.error();
+        if (auto s = putRecord(prefix_); !s) return s;
+        if (auto s = putBlock(kHead, kCritical, *head); !s) return s;
+        if (!map_.info().attributes.empty()) {
+            if (auto s = putBlock(kAttr, 0, *attributes); !s) return s;
+        }
+        if (auto s = putTiles(); !s) return s;
+        if (auto s = putBlock(kHier, kCritical, encodeHierarchy(map_)); !s) return s;
+        if (auto s = putBlock(kTotl, kCritical, encodeTotals(map_)); !s) return s;
+
+        const std::uint64_t indexOffset = offset_;
+        if (auto s = put(makeBlock(kIndx, kCritical, encodeIndex(index_, prefix_)).bytes);
+            !s)
+            return s;
+        return putRecord(makeTrailer(indexOffset, offset_ + sizeof(Trailer)));
+    }
+
+  private:
+    Status put(BytesView bytes) {
+        offset_ += bytes.size();
+        return sink_.write(bytes);
+    }
+    template <typename Record>
+    Status putRecord(const Record& record) {
+        return put(std::bit_cast<std::array<std::uint8_t, sizeof(Record)>>(record));
+    }
+
+    Status putBlock(BlockType type, std::uint32_t flags, BytesView payload) {
+        const Block block = makeBlock(type, flags, payload);
+        index_.blocks.push_back(
+            {type, flags, offset_, block.header.length, block.header.payloadChecksum});
+        return put(block.bytes);
+    }
+
+    const Tile& tile(std::uint64_t i) const {
+        const TilePlace p = grid_.place(i);
+        return map_.tile(p.face, p.tx, p.ty);
+    }
+
+    Status putTile(std::uint64_t i, const Block& block) {
+        index_.tiles[i] = {offset_, block.header.length,
+                           static_cast<std::uint32_t>(tile(i).z.size()),
+                           planesNeeded(tile(i)), block.header.payloadChecksum};
+        if (auto s = put(block.bytes); !s) return s;
+        layersDone_ += tile(i).z.size();
+        const double done = double(layersDone_) / double(map_.layerCount());
+        if (options_.progress && !options_.progress(done))
+            return makeError(ErrorCode::cancelled, "writing was cancelled");
+        return {};
+    }
+
+    Status putTiles();
+
+    const ShadowMap& map_;
+    const WriteOptions& options_;
+    Sink& sink_;
+    const Prefix prefix_;
+    const TileGrid grid_;
+    Index index_;
+    std::uint64_t offset_ = 0, layersDone_ = 0;
+};
+
+Status MapWriter::putTiles() {
+    struct Encoded {
+        std::uint64_t tile = 0;
+        Block block;
+    };
+    tbb::enumerable_thread_specific<TileEncoder> encoders(
+        [&] { return TileEncoder(options_.codec, options_.level); });
+    const std::size_t inFlight =
+        4 * static_cast<std::size_t>(tbb::this_task_arena::max_concurrency());
+    std::uint64_t next = 0;
+    Status status;
+    std::atomic<bool> failed{false};
+
+    const auto takeNext = [&](tbb::flow_control& flow) -> std::uint64_t {
+        while (next < index_.tiles.size() && tile(next).empty())
+            ++next;
+        if (next < index_.tiles.size() && !failed) return next++;
+        flow.stop();
+        return 0;
+    };
+    const auto encode = [&](std::uint64_t i) -> std::shared_ptr<Encoded> {
+        const Bytes payload =
+            encoders.local().encode(tile(i), grid_.place(i), map_.info().channels);
+        return std::make_shared<Encoded>(
+            Encoded{i, makeBlock(kTile, kCritical, payload)});
+    };
+    const auto write = [&](const std::shared_ptr<Encoded>& e) {
+        if (failed) return;
+        status = putTile(e->tile, e->block);
+        failed = !status;
+    };
+    tbb::parallel_pipeline(
+        inFlight, tbb::make_filter<void, std::uint64_t>(tbb::filter_mode::serial_in_order,
+                                                        takeNext) &
+                      tbb::make_filter<std::uint64_t, std::shared_ptr<Encoded>>(
+                          tbb::filter_mode::parallel, encode) &
+                      tbb::make_filter<std::shared_ptr<Encoded>, void>(
+                          tbb::filter_mode::serial_in_order, write));
+    return status;
+}
+
+Status checkOptions(const WriteOptions& options) {
+    if (options.codec != Codec::none && options.codec != Codec::zstd)
+        return makeError(ErrorCode::badArgument, "codec ", unsigned(options.codec),
+                         " is neither none (0) nor zstd (1)");
+    if (options.level < 1 || options.level > 19)
+        return makeError(ErrorCode::badArgument, "compression level ", options.level,
+                         " must be 1 to 19");
+    return {};
+}
+
+}  // namespace
+}  // namespace format
+
+Status writeMap(const ShadowMap& map, const std::string& path,
+                const WriteOptions& options) {
+    return format::guarded(path, "write", [&]() -> Status {
+        if (auto s = format::checkOptions(options); !s) return s;
+        format::FileSink sink(path);
+        if (auto s = sink.open(); !s) return s;
+        if (auto s = format::MapWriter(map, options, sink).run(); !s) {
+            if (s.error().code == ErrorCode::io) return s;  // names the path already
+            return base::makeError(s.error().code, path, ": ", s.error().message);
+        }
+        return sink.commit();
+    });
+}
+
+Result<std::vector<std::uint8_t>> encodeMap(const ShadowMap& map,
+                                            const WriteOptions& options) {
+    return format::guarded("map", "encode", [&]() -> Result<std::vector<std::uint8_t>> {
+        if (auto s = format::checkOptions(options); !s) return s.error();
+        format::MemorySink sink;
+        if (auto s = format::MapWriter(map, options, sink).run(); !s) return s.error();
+        return std::move(sink).take();
+    });
+}
+
+}  // namespace mtsm
