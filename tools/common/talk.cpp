@@ -1,0 +1,105 @@
+// Talk on stderr, and the signals that end a job early.
+#include "common/talk.h"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <csignal>
+#include <cstdio>
+#include <utility>
+
+namespace mtsm::tools {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr auto kBarInterval = 100ms;
+constexpr auto kLineInterval = 2s;
+constexpr int kBarWidth = 40;
+
+// The only state that a signal handler may touch.
+volatile std::sig_atomic_t stopFlag = 0;
+
+extern "C" void onStopSignal(int) {
+    stopFlag = 1;
+}
+
+std::string percent(double fraction) {
+    if (!(fraction >= 0.0)) return "...";
+    return std::to_string(static_cast<int>(100.0 * std::min(fraction, 1.0))) + " %";
+}
+
+}  // namespace
+
+void catchSignals() {
+    struct sigaction action {};
+    action.sa_handler = onStopSignal;
+    action.sa_flags = SA_RESETHAND | SA_RESTART;
+    ::sigaction(SIGINT, &action, nullptr);
+    ::sigaction(SIGTERM, &action, nullptr);
+    std::signal(SIGXFSZ, SIG_IGN);
+}
+
+bool stopRequested() noexcept {
+    return stopFlag != 0;
+}
+
+Talk::Talk(std::string tool)
+    : tool_(std::move(tool)), terminal_(::isatty(STDERR_FILENO) == 1) {}
+
+Talk::~Talk() {
+    clearBar();
+}
+
+void Talk::clearBar() {
+    if (barShown_) std::fputs("\r\033[K", stderr);
+    barShown_ = false;
+}
+
+void Talk::progressDone() {
+    const std::lock_guard lock(mutex_);
+    clearBar();
+}
+
+void Talk::line(const std::string& text) {
+    const std::lock_guard lock(mutex_);
+    clearBar();
+    std::fprintf(stderr, "%s: %s\n", tool_.c_str(), text.c_str());
+}
+
+void Talk::say(const std::string& text) {
+    if (!quiet_) line(text);
+}
+
+void Talk::warn(const std::string& text) {
+    line("warning: " + text);
+}
+
+void Talk::error(const std::string& text) {
+    line("error: " + text);
+}
+
+bool Talk::progress(const std::string& stage, double fraction) {
+    if (stopRequested()) return false;
+    if (quiet_) return true;
+    const std::lock_guard lock(mutex_);
+    const auto now = Clock::now();
+    if (terminal_) {
+        if (now - shown_ < kBarInterval && stage == stage_) return true;
+        const int filled = static_cast<int>(kBarWidth * std::clamp(fraction, 0.0, 1.0));
+        std::fprintf(stderr, "\r\033[K%s [%s%s] %s", stage.c_str(),
+                     std::string(std::size_t(filled), '#').c_str(),
+                     std::string(std::size_t(kBarWidth - filled), ' ').c_str(),
+                     percent(fraction).c_str());
+        barShown_ = true;
+    } else {
+        if (now - shown_ < kLineInterval) return true;
+        std::fprintf(stderr, "%s: %s: %s\n", tool_.c_str(), stage.c_str(),
+                     percent(fraction).c_str());
+    }
+    stage_ = stage;
+    shown_ = now;
+    return true;
+}
+
+}  // namespace mtsm::tools

@@ -1,0 +1,53 @@
+// talk.h - what a tool says on stderr: notes, warnings, errors and a progress bar.
+#pragma once
+#include <chrono>
+#include <mutex>
+#include <string>
+
+namespace mtsm::tools {
+
+/// All talk of one tool; every line begins with the tool's name. May be called from any
+/// thread. On a terminal progress is a bar in place; elsewhere it is a plain line every
+/// two seconds, so that short jobs say nothing.
+class Talk {
+  public:
+    explicit Talk(std::string tool);
+    ~Talk();
+    Talk(const Talk&) = delete;
+    Talk& operator=(const Talk&) = delete;
+
+    void setQuiet(bool quiet) { quiet_ = quiet; }  ///< errors and warnings only
+
+    void say(const std::string& text);
+    void warn(const std::string& text);
+    void error(const std::string& text);
+
+    /// Shows that `fraction` (0..1, negative: unknown) of `stage` is done. False once the
+    /// user asked to stop: what library callbacks must return.
+    bool progress(const std::string& stage, double fraction);
+    /// Takes the bar away, before something is printed to stdout.
+    void progressDone();
+
+  private:
+    using Clock = std::chrono::steady_clock;
+    void line(const std::string& text);
+    void clearBar();
+
+    const std::string tool_;
+    const bool terminal_;
+    const Clock::time_point start_ = Clock::now();
+    bool quiet_ = false;
+    std::mutex mutex_;
+    std::string stage_;
+    Clock::time_point shown_ = start_;
+    bool barShown_ = false;
+};
+
+/// From now on SIGINT and SIGTERM ask to stop instead of killing, so that temporary files
+/// are removed; a second one kills. Writing beyond a file size limit becomes an error.
+void catchSignals();
+
+/// True once SIGINT or SIGTERM came.
+[[nodiscard]] bool stopRequested() noexcept;
+
+}  // namespace mtsm::tools

@@ -1,0 +1,180 @@
+// What every tool's main has around its own few lines.
+#include "common/tool.h"
+
+#include <oneapi/tbb/global_control.h>
+#include <oneapi/tbb/task_arena.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cctype>
+#include <cerrno>
+#include <cstdio>
+#include <cstring>
+#include <filesystem>
+#include <glm/trigonometric.hpp>
+#include <iostream>
+#include <new>
+
+#include "common/arguments.h"
+
+namespace mtsm::tools {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kExitCodes =
+    "\nExit codes: 0 good, 2 usage, 3 input or output failed, 4 bad file, 5 unsupported.";
+
+std::string format(const char* pattern, double value) {
+    char text[48];
+    std::snprintf(text, sizeof text, pattern, value);
+    return text;
+}
+
+[[noreturn]] void failOutput(const std::string& path, const std::string& reason) {
+    throw Failure{{ErrorCode::io, path + ": cannot write: " + reason}};
+}
+
+}  // namespace
+
+void describeTool(CLI::App& app, const std::string& examples) {
+    app.set_version_flag("--version", app.get_name() + " " MTSM_VERSION,
+                         "print the version and exit");
+    app.set_help_flag("-h,--help", "print this help and exit");
+    app.get_option("--version")->group("General");
+    app.get_option("--help")->group("General");
+    app.footer("\n" + examples + kExitCodes);
+    app.get_formatter()->column_width(34);
+}
+
+int runTool(CLI::App& app, int argc, char** argv, Talk& talk,
+            const std::function<void()>& body) {
+    const std::string seeHelp = " (" + app.get_name() + " --help explains)";
+    try {
+        catchSignals();
+        app.parse(argc, argv);
+        body();
+        return 0;
+    } catch (const CLI::Success& asked) {  // --help, --version
+        app.exit(asked, std::cout, std::cerr);
+        return std::cout.flush() ? 0 : exitCode(ErrorCode::io);
+    } catch (const CLI::ParseError& wrong) {
+        talk.error(wrong.what() + seeHelp);
+    } catch (const UsageError& wrong) {
+        talk.error(wrong.what() + seeHelp);
+    } catch (const Failure& failure) {
+        talk.error(failure.error.message);
+        return exitCode(failure.error.code);
+    } catch (const std::bad_alloc&) {
+        talk.error("not enough memory");
+        return exitCode(ErrorCode::io);
+    } catch (const std::exception& e) {
+        talk.error(std::string("unexpected: ") + e.what());
+        return exitCode(ErrorCode::io);
+    }
+    return exitCode(ErrorCode::badArgument);
+}
+
+void withThreads(std::int64_t threads, const std::function<void()>& body) {
+    if (threads == 0) return body();
+    const auto count = static_cast<std::size_t>(threads);
+    const tbb::global_control control(tbb::global_control::max_allowed_parallelism,
+                                      count);
+    tbb::task_arena arena(static_cast<int>(threads));
+    arena.execute(body);
+}
+
+void checkOutput(const std::string& path, const std::vector<std::string>& inputs) {
+    std::error_code problem;
+    if (fs::is_directory(path, problem))
+        failOutput(path, "it is a folder; give the name of a file in it");
+    for (const std::string& input : inputs) {
+        if (fs::equivalent(path, input, problem))
+            throw UsageError(path + ": the output is also an input; choose another name");
+    }
+    const fs::path parent = fs::path(path).parent_path();
+    const std::string folder = parent.empty() ? "." : parent.string();
+    if (!fs::is_directory(folder, problem))
+        failOutput(path, "there is no folder " + folder);
+    if (::access(folder.c_str(), W_OK | X_OK) != 0)
+        failOutput(path, "the folder " + folder + ": " + std::strerror(errno));
+}
+
+void print(const std::string& text) {
+    errno = 0;
+    const bool good = std::fwrite(text.data(), 1, text.size(), stdout) == text.size() &&
+                      std::fflush(stdout) == 0;
+    if (!good) failOutput("standard output", std::strerror(errno ? errno : EIO));
+}
+
+std::string extension(const std::string& path) {
+    std::string text = fs::path(path).extension().string();
+    for (char& c : text)
+        c = char(std::tolower(static_cast<unsigned char>(c)));
+    return text;
+}
+
+std::string bytesText(std::uint64_t bytes) {
+    static constexpr std::array kUnits = {"bytes", "kB", "MB", "GB", "TB"};
+    auto value = static_cast<double>(bytes);
+    std::size_t unit = 0;
+    for (; value >= 1000.0 && unit + 1 < kUnits.size(); ++unit)
+        value /= 1000.0;
+    return format(unit == 0 ? "%.0f" : "%.3g", value) + " " + kUnits[unit];
+}
+
+std::string countText(std::uint64_t count) {
+    std::string digits = std::to_string(count);
+    for (std::size_t at = digits.size(); at > 3; at -= 3)
+        digits.insert(at - 3, " ");
+    return digits;
+}
+
+std::string secondsText(double seconds) {
+    return format(seconds < 10.0 ? "%.2f" : "%.1f", seconds) + " s";
+}
+
+std::string numberText(double value) {
+    return format("%.9g", value);
+}
+
+std::string tripleText(const glm::dvec3& value) {
+    return numberText(value.x) + ", " + numberText(value.y) + ", " + numberText(value.z);
+}
+
+nlohmann::ordered_json lightJson(const AreaLight& light) {
+    nlohmann::ordered_json j;
+    j["shape"] = name(light.shape);
+    const auto triple = [](const glm::dvec3& v) {
+        return nlohmann::ordered_json::array({v.x, v.y, v.z});
+    };
+    const LightShape shape = light.shape;
+    if (shape != LightShape::sun) j["position"] = triple(light.position);
+    j["direction"] = triple(light.direction);
+    if (shape == LightShape::disk || shape == LightShape::sphere)
+        j["radius"] = light.radius;
+    if (shape == LightShape::rect) {
+        j["up"] = triple(light.up);
+        j["size"] = {light.size.x, light.size.y};
+    }
+    if (shape == LightShape::sun)
+        j["angularDiameterDegrees"] = glm::degrees(light.angularDiameter);
+    return j;
+}
+
+std::string lightText(const AreaLight& light) {
+    std::string text = name(light.shape);
+    const LightShape shape = light.shape;
+    if (shape == LightShape::disk || shape == LightShape::sphere)
+        text += ", radius " + numberText(light.radius);
+    if (shape == LightShape::rect)
+        text += ", " + numberText(light.size.x) + " x " + numberText(light.size.y);
+    if (shape == LightShape::sun)
+        text += ", angular diameter " + numberText(glm::degrees(light.angularDiameter)) +
+                " degrees";
+    if (shape != LightShape::sun) text += ", at (" + tripleText(light.position) + ")";
+    return text + ", direction (" + tripleText(light.direction) + ")";
+}
+
+}  // namespace mtsm::tools

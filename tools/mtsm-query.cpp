@@ -1,0 +1,577 @@
+// mtsm-query - a map and points, rays or a picture in, shadow factors out.
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <functional>
+#include <glm/geometric.hpp>
+#include <memory>
+
+#include "common/arguments.h"
+#include "common/light_options.h"
+#include "common/tool.h"
+#include "mtsm/image.h"
+#include "mtsm/passes.h"
+#include "mtsm/points.h"
+#include "mtsm/reader.h"
+#include "mtsm/shadow.h"
+
+namespace {
+
+using namespace mtsm;
+using namespace mtsm::tools;
+
+constexpr const char* kAbout =
+    "Answers shadow queries from a map alone. Shadow factor: 0 lit, 1 dark; visibility "
+    "is\n"
+    "1 minus that. World space throughout, lengths in the units of the map. Give one of\n"
+    "--point, --points, --rays, --position and --plane.";
+
+constexpr const char* kExamples =
+    "Input files are CSV with a line of names: x,y,z[,nx,ny,nz] for points and\n"
+    "ox,oy,oz,dx,dy,dz[,tmax] for rays; columns in any order, others ignored, lines with "
+    "#\n"
+    "skipped. A ray's direction may have any length; tmax is a distance in world units, "
+    "none\n"
+    "or inf means without end. Points that are not finite are lit.\n"
+    "A position pass is an EXR with three float channels of world positions, called P,\n"
+    "Position, RenderLayer.Position and such. Pixels without a surface (alpha 0, or not\n"
+    "finite) are lit.\n"
+    "Output by extension: .exr (channels shadow and visibility), .png (8-bit grey), "
+    ".csv;\n"
+    "points and rays without -o go to stdout as CSV.\n"
+    "\nExamples:\n"
+    "  one point, with the receiver's normal:\n"
+    "    mtsm-query key.mtsm --point 0,0,0 --normal 0,1,0\n"
+    "  a renderer's passes to a shadow pass:\n"
+    "    mtsm-query key.mtsm --position beauty.exr --normal-pass beauty.exr \\\n"
+    "               --samples 256 -o shadow.exr --stats\n"
+    "  a look at the floor, from (-2,0,2) two units to the right and back:\n"
+    "    mtsm-query key.mtsm --plane -2,0,2,4,0,0,0,0,-4 --size 512x512 -o floor.png\n"
+    "  rays of your own:\n"
+    "    mtsm-query key.mtsm --rays rays.csv > visibility.csv\n";
+
+constexpr std::uint32_t kMostSide = 65536;                     // of --size
+constexpr std::uint64_t kMostPixels = std::uint64_t(1) << 28;  // of --size
+constexpr std::size_t kSliceRays = std::size_t(1) << 20;       // between progress reports
+constexpr std::size_t kMostSlice = std::size_t(1) << 16;       // points at once
+constexpr std::size_t kFewValues = 10000;                      // that --json lists
+
+struct Arguments {
+    std::string map;
+    std::vector<glm::dvec3> points, normals;  // normals: {0, 0, 0} where none was given
+    std::string pointsFile, raysFile, positionFile, normalFile, positionLayer,
+        normalLayer;
+    std::string plane, size;
+    bool noNormal = false;
+    std::string output;
+    std::int64_t samples = 64, seed = 0, threads = 0;
+    std::optional<double> bias, threshold;
+    LightOptions light;
+    std::optional<std::size_t> method, quantity, weight;
+    bool json = false, stats = false, quiet = false;
+};
+
+enum class Kind { point, points, rays, position, plane };
+
+void addOptions(CLI::App& app, Arguments& a) {
+    app.add_option("MAP", a.map, "the map file")
+        ->required()
+        ->type_name("FILE")
+        ->group("Input");
+    // Callbacks run in the order of the command line only when each occurrence triggers.
+    app.add_option_function<std::string>(
+           "--point",
+           [&a](const std::string& text) {
+               a.points.push_back(parseTriple("--point", text));
+               a.normals.emplace_back(0.0);
+           },
+           "a point; may be repeated")
+        ->type_name("X,Y,Z")
+        ->trigger_on_parse()
+        ->group("Input");
+    app.add_option_function<std::string>(
+           "--normal",
+           [&a](const std::string& text) {
+               if (a.normals.empty())
+                   throw UsageError(
+                       "--normal: belongs behind the --point that it is for");
+               a.normals.back() = parseTriple("--normal", text);
+           },
+           "the surface normal at the --point before it")
+        ->type_name("X,Y,Z")
+        ->trigger_on_parse()
+        ->group("Input");
+    addText(app, "--points", a.pointsFile, "FILE|-", "CSV of points; - reads stdin")
+        ->group("Input");
+    addText(app, "--rays", a.raysFile, "FILE|-", "CSV of shadow rays; - reads stdin")
+        ->group("Input");
+    addText(app, "--position", a.positionFile, "P.exr", "a position pass")
+        ->group("Input");
+    addText(app, "--position-layer", a.positionLayer, "NAME",
+            "its layer, where the name is not a usual one")
+        ->group("Input");
+    addText(app, "--normal-pass", a.normalFile, "N.exr",
+            "normals for --position; may be the same file")
+        ->group("Input");
+    addText(app, "--normal-layer", a.normalLayer, "NAME", "their layer")->group("Input");
+    addText(app, "--plane", a.plane, "OX,OY,OZ,UX,UY,UZ,VX,VY,VZ",
+            "points O + U (i + 0.5) / W + V (j + 0.5) / H of\n"
+            "a W x H picture; their normal is cross(U, V),\n"
+            "turned to the light's side")
+        ->group("Input");
+    addText(app, "--size", a.size, "N|WxH", "pixels of --plane")->group("Input");
+    app.add_flag("--no-normal", a.noNormal, "ask for --plane's points without a normal")
+        ->group("Input");
+
+    addText(app, "-o,--output", a.output, "OUT.exr|png|csv",
+            "where results go; needed for pictures")
+        ->group("Output");
+    addChoice(app, "--quantity", a.quantity, {"shadow", "visibility"},
+              "what a .png shows (default: visibility, white is\n"
+              "lit), or the only one of both in CSV; an .exr has\n"
+              "both always")
+        ->group("Output");
+    app.add_flag("--json", a.json,
+                 "print statistics, and the results of up to 10000\n"
+                 "points or rays, to stdout as a JSON object")
+        ->group("Output");
+    app.add_flag("--stats", a.stats, "print points, rays, seconds and rays per second")
+        ->group("Output");
+
+    addWhole(app, "--samples", a.samples, 1, kMaxSamples,
+             "points on the light, 1 to 4096 (default: 64)")
+        ->group("Query");
+    addWhole(app, "--seed", a.seed, 0, 0xffffffffll,
+             "same seed, same answer on any machine (default: 0)")
+        ->group("Query");
+    addNumber(app, "--bias", a.bias, {0.0, kAny}, "Z",
+              "depth within which a layer blocks, world units\n"
+              "(default: the map's)")
+        ->group("Query");
+    addNumber(app, "--threshold", a.threshold, {0.0, 1.0, true}, "V",
+              "a ray with less visibility left is dark, 0 to\n"
+              "below 1 (default: 1/1024)")
+        ->group("Query");
+    addChoice(app, "--method", a.method, {"trace", "pcf"},
+              "rays through the map, or percentage-closer\n"
+              "filtering for small lights (default: trace)")
+        ->group("Query");
+    addChoice(app, "--weight", a.weight, {"uniform", "cosine"},
+              "plain mean over the light, or the ratio of\n"
+              "irradiances, which needs normals (default: uniform)")
+        ->group("Query");
+    addLightSizeOptions(app, a.light, "Light, if other than the map's: within it");
+    addWhole(app, "--threads", a.threads, 0, 1024,
+             "0: as many as the machine has (default)")
+        ->group("General");
+    app.add_flag("--quiet", a.quiet, "say nothing but warnings and errors")
+        ->group("General");
+}
+
+/// The one kind of input that was given.
+Kind inputKind(const Arguments& a) {
+    const std::pair<bool, Kind> given[] = {{!a.points.empty(), Kind::point},
+                                           {!a.pointsFile.empty(), Kind::points},
+                                           {!a.raysFile.empty(), Kind::rays},
+                                           {!a.positionFile.empty(), Kind::position},
+                                           {!a.plane.empty(), Kind::plane}};
+    const auto count = std::count_if(std::begin(given), std::end(given),
+                                     [](const auto& g) { return g.first; });
+    if (count != 1)
+        throw UsageError(std::string(count ? "more than one kind" : "no kind") +
+                         " of input: give one of --point, --points, --rays, --position "
+                         "and --plane");
+    return std::find_if(std::begin(given), std::end(given),
+                        [](const auto& g) { return g.first; })
+        ->second;
+}
+
+bool isPicture(Kind kind) {
+    return kind == Kind::position || kind == Kind::plane;
+}
+
+/// Refuses what cannot go together, before anything is read.
+void checkArguments(const Arguments& a, const CLI::App& app, Kind kind) {
+    const auto only = [&](const char* option, bool fits, const char* belongs) {
+        if (app.count(option) && !fits)
+            throw UsageError(std::string(option) + ": belongs to " + belongs);
+    };
+    only("--position-layer", kind == Kind::position, "--position");
+    only("--normal-pass", kind == Kind::position, "--position");
+    only("--normal-layer", !a.normalFile.empty(), "--normal-pass");
+    only("--size", kind == Kind::plane, "--plane");
+    only("--no-normal", kind == Kind::plane, "--plane");
+    for (const char* option :
+         {"--samples", "--seed", "--method", "--weight", "--light-shape",
+          "--light-position", "--light-radius", "--light-size", "--light-angle"})
+        only(option, kind != Kind::rays, "points; a ray needs no light");
+    if (kind == Kind::plane && a.size.empty())
+        throw UsageError("--plane: needs --size WxH, such as --size 512x512");
+    const bool normals = kind == Kind::point
+                             ? a.normals != std::vector(a.points.size(), glm::dvec3(0.0))
+                         : kind == Kind::position ? !a.normalFile.empty()
+                                                  : !a.noNormal;
+    if (a.weight.value_or(0) == 1 && !normals)
+        throw UsageError("--weight: cosine needs the receiver's normals");
+
+    const std::string type = extension(a.output);
+    if (a.output.empty()) {
+        if (isPicture(kind))
+            throw UsageError(
+                "-o is missing: a picture needs a file, such as -o shadow.exr");
+        return;
+    }
+    if (type != ".exr" && type != ".png" && type != ".csv")
+        throw UsageError("-o: found \"" + a.output +
+                         "\", expected a name that ends in .exr, .png or .csv");
+    if (type != ".csv" && !isPicture(kind))
+        throw UsageError(
+            "-o: points and rays are no picture; use a name that ends in .csv");
+}
+
+/// What is asked for: points, one after another, in world space.
+struct Receivers {
+    std::size_t count = 0;
+    std::function<glm::dvec3(std::size_t)> point;
+    std::function<glm::dvec3(std::size_t)> normal;  ///< empty: none is known
+    std::function<bool(std::size_t)> surface;       ///< empty: there is one everywhere
+    PixelWindow data, display;                      ///< of pictures
+};
+
+Receivers pointReceivers(PointList list) {
+    auto shared = std::make_shared<const PointList>(std::move(list));
+    Receivers r;
+    r.count = shared->points.size();
+    r.point = [shared](std::size_t i) { return shared->points[i]; };
+    if (!shared->normals.empty())
+        r.normal = [shared](std::size_t i) { return shared->normals[i]; };
+    return r;
+}
+
+Receivers passReceivers(const Arguments& a) {
+    PassOptions options;
+    options.layer = a.positionLayer;
+    auto pass =
+        std::make_shared<const Pass>(unwrap(readPositionPass(a.positionFile, options)));
+    Receivers r;
+    r.count = pass->pixels();
+    r.data = pass->data;
+    r.display = pass->display;
+    r.point = [pass](std::size_t i) { return glm::dvec3(pass->values[i]); };
+    r.surface = [pass](std::size_t i) { return pass->surface[i] != 0; };
+    if (a.normalFile.empty()) return r;
+    options.layer = a.normalLayer;
+    auto normals = std::make_shared<const Pass>(
+        unwrap(readNormalPass(a.normalFile, *pass, options)));
+    r.normal = [normals](std::size_t i) { return glm::dvec3(normals->values[i]); };
+    return r;
+}
+
+Receivers planeReceivers(const Arguments& a, const AreaLight& light) {
+    const auto n = parseNumbers("--plane", a.plane, 9, "OX,OY,OZ,UX,UY,UZ,VX,VY,VZ");
+    const glm::dvec3 o(n[0], n[1], n[2]), u(n[3], n[4], n[5]), v(n[6], n[7], n[8]);
+    const glm::uvec2 size = parseResolution("--size", a.size, kMostSide);
+    if (std::uint64_t(size.x) * size.y > kMostPixels)
+        throw UsageError("--size: found \"" + a.size + "\", expected at most " +
+                         countText(kMostPixels) + " pixels");
+    glm::dvec3 normal = glm::cross(u, v);
+    if (!(glm::length(normal) > 0.0))
+        throw UsageError("--plane: U and V span no plane: they are parallel or zero");
+    normal = glm::normalize(normal);
+    const glm::dvec3 toLight =
+        light.shape == LightShape::sun ? -light.direction : light.position - o;
+    if (glm::dot(normal, toLight) < 0.0) normal = -normal;
+
+    Receivers r;
+    r.count = std::size_t(size.x) * size.y;
+    r.data = r.display = {0, 0, size.x, size.y};
+    r.point = [=](std::size_t i) {
+        return o + u * ((double(i % size.x) + 0.5) / size.x) +
+               v * ((double(i / size.x) + 0.5) / size.y);
+    };
+    if (!a.noNormal) r.normal = [normal](std::size_t) { return normal; };
+    return r;
+}
+
+Receivers receivers(const Arguments& a, Kind kind, const AreaLight& light) {
+    switch (kind) {
+        case Kind::point:
+            return pointReceivers({a.points, a.normals});
+        case Kind::points:
+            return pointReceivers(unwrap(readPoints(a.pointsFile)));
+        case Kind::position:
+            return passReceivers(a);
+        default:
+            return planeReceivers(a, light);
+    }
+}
+
+/// What came of it, and what it took.
+struct Results {
+    std::vector<float> shadow;  ///< for rays: 1 - visibility
+    std::vector<float> visibility;
+    QueryStats stats;
+    double seconds = 0;
+};
+
+/// Runs `slice(begin, end)` over all of `count`; a stop between two slices is an error.
+template <typename Slice>
+double inSlices(std::size_t count, std::size_t step, Talk& talk, Slice&& slice) {
+    const auto start = std::chrono::steady_clock::now();
+    for (std::size_t begin = 0; begin < count; begin += step) {
+        if (!talk.progress("tracing", double(begin) / double(count)))
+            throw Failure{{ErrorCode::cancelled, "stopped; nothing was written"}};
+        slice(begin, std::min(count, begin + step));
+    }
+    talk.progressDone();
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start)
+        .count();
+}
+
+void add(QueryStats& sum, const QueryStats& s) {
+    sum.points += s.points;
+    sum.rays += s.rays;
+    sum.notFinite += s.notFinite;
+    sum.behindLight += s.behindLight;
+    sum.mayBeTruncated += s.mayBeTruncated;
+}
+
+Results queryPoints(const ShadowMap& map, const AreaLight& light,
+                    const ShadowOptions& options, const Receivers& r, Talk& talk) {
+    Results results;
+    results.shadow.assign(r.count, 0.0f);
+    std::vector<std::size_t> which;
+    std::vector<glm::dvec3> points, normals;
+    std::vector<float> shadow;
+    const std::size_t step = std::clamp<std::size_t>(
+        kSliceRays / std::size_t(options.samples), 1024, kMostSlice);
+    results.seconds =
+        inSlices(r.count, step, talk, [&](std::size_t begin, std::size_t end) {
+            which.clear();
+            points.clear();
+            normals.clear();
+            for (std::size_t i = begin; i < end; ++i) {
+                if (r.surface && !r.surface(i)) continue;
+                which.push_back(i);
+                points.push_back(r.point(i));
+                if (r.normal) normals.push_back(r.normal(i));
+            }
+            shadow.resize(which.size());
+            QueryStats stats;
+            shadowFactors(map, light, points.data(), r.normal ? normals.data() : nullptr,
+                          points.size(), shadow.data(), options, &stats);
+            add(results.stats, stats);
+            for (std::size_t k = 0; k < which.size(); ++k)
+                results.shadow[which[k]] = shadow[k];
+        });
+    results.visibility.reserve(r.count);
+    for (float s : results.shadow)
+        results.visibility.push_back(1.0f - s);
+    return results;
+}
+
+Results queryRays(const ShadowMap& map, const std::vector<ShadowRay>& rays,
+                  const RayOptions& options, Talk& talk) {
+    Results results;
+    results.visibility.resize(rays.size());
+    results.seconds =
+        inSlices(rays.size(), kMostSlice, talk, [&](std::size_t begin, std::size_t end) {
+            visibilities(map, rays.data() + begin, end - begin,
+                         results.visibility.data() + begin, options);
+        });
+    results.stats.rays = rays.size();
+    results.shadow.reserve(rays.size());
+    for (float v : results.visibility)
+        results.shadow.push_back(1.0f - v);
+    return results;
+}
+
+// --- results ---------------------------------------------------------------------------
+
+/// The result columns that --quantity leaves; `both` is the default.
+std::vector<CsvColumn> resultColumns(const Arguments& a, const Results& results,
+                                     bool both) {
+    const CsvColumn shadow{"shadow", results.shadow.data()};
+    const CsvColumn visibility{"visibility", results.visibility.data()};
+    if (!a.quantity && both) return {shadow, visibility};
+    return {a.quantity.value_or(1) == 0 ? shadow : visibility};
+}
+
+std::string csvPath(const Arguments& a) {
+    return a.output.empty() ? "-" : a.output;
+}
+
+void writePointCsv(const Arguments& a, const Receivers& r, const Results& results) {
+    std::vector<glm::dvec3> points(r.count);
+    for (std::size_t i = 0; i < r.count; ++i)
+        points[i] = r.point(i);
+    const glm::dvec3 none(0.0);
+    const double* first = points.empty() ? &none.x : &points[0].x;
+    std::vector<CsvColumn> columns{
+        {"x", first, 3}, {"y", first + 1, 3}, {"z", first + 2, 3}};
+    for (CsvColumn& c : resultColumns(a, results, true))
+        columns.push_back(std::move(c));
+    unwrap(writeCsv(csvPath(a), columns, r.count));
+}
+
+void writeRayCsv(const Arguments& a, const std::vector<ShadowRay>& rays,
+                 const Results& results) {
+    static_assert(sizeof(ShadowRay) == 7 * sizeof(double));
+    const ShadowRay none;
+    const ShadowRay* first = rays.empty() ? &none : rays.data();
+    std::vector<CsvColumn> columns{
+        {"ox", &first->origin.x, 7},    {"oy", &first->origin.y, 7},
+        {"oz", &first->origin.z, 7},    {"dx", &first->direction.x, 7},
+        {"dy", &first->direction.y, 7}, {"dz", &first->direction.z, 7},
+        {"tmax", &first->length, 7}};
+    for (CsvColumn& c : resultColumns(a, results, false))
+        columns.push_back(std::move(c));
+    unwrap(writeCsv(csvPath(a), columns, rays.size()));
+}
+
+void writePicture(const Arguments& a, const Receivers& r, const AreaLight& light,
+                  Results& results) {
+    if (extension(a.output) == ".png") {
+        const auto& values =
+            a.quantity.value_or(1) == 0 ? results.shadow : results.visibility;
+        unwrap(writeImagePng(a.output,
+                             greyImage(r.data.width, r.data.height, values, 0.0f, 1.0f)));
+        return;
+    }
+    FloatImage image(r.data.width, r.data.height);
+    image.data = r.data;
+    image.display = r.display;
+    image.channels.push_back({"shadow", std::move(results.shadow)});
+    image.channels.push_back({"visibility", std::move(results.visibility)});
+    image.attributes = {{"mtsm:map", a.map}, {"mtsm:light", lightText(light)}};
+    unwrap(writeImageExr(a.output, image));
+}
+
+nlohmann::ordered_json statsJson(const Arguments& a, const Results& results) {
+    const QueryStats& s = results.stats;
+    nlohmann::ordered_json j;
+    j["map"] = a.map;
+    if (!a.output.empty()) j["output"] = a.output;
+    j["points"] = s.points;
+    j["rays"] = s.rays;
+    j["seconds"] = results.seconds;
+    j["raysPerSecond"] = results.seconds > 0 ? double(s.rays) / results.seconds : 0.0;
+    j["notFinite"] = s.notFinite;
+    j["behindLight"] = s.behindLight;
+    j["mayBeTruncated"] = s.mayBeTruncated;
+    return j;
+}
+
+void printJson(const nlohmann::ordered_json& j) {
+    print(j.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n");
+}
+
+/// One object per result, unless they are a picture or too many.
+nlohmann::ordered_json valuesJson(const Results& results) {
+    auto values = nlohmann::ordered_json::array();
+    for (std::size_t i = 0; i < results.shadow.size(); ++i)
+        values.push_back(
+            {{"shadow", results.shadow[i]}, {"visibility", results.visibility[i]}});
+    return values;
+}
+
+void sayStats(const Arguments& a, const Results& results, Talk& talk) {
+    const QueryStats& s = results.stats;
+    if (a.stats) {
+        talk.say(
+            countText(s.points) + " points, " + countText(s.rays) + " rays, " +
+            secondsText(results.seconds) + ", " +
+            numberText(std::round(double(s.rays) / std::max(results.seconds, 1e-9))) +
+            " rays per second");
+        talk.say(countText(s.notFinite) + " points not finite, " +
+                 countText(s.behindLight) + " behind the light, " +
+                 countText(s.mayBeTruncated) + " may be truncated");
+    } else if (s.mayBeTruncated) {
+        talk.warn(countText(s.mayBeTruncated) + " of " + countText(s.points) +
+                  " points lie outside the light's view, where casters that reach out of "
+                  "the map's window may be missing; bake a wider --fov");
+    }
+}
+
+void report(const Arguments& a, Kind kind, const Results& results, Talk& talk) {
+    sayStats(a, results, talk);
+    if (!a.json) return;
+    auto j = statsJson(a, results);
+    if (!isPicture(kind) && results.shadow.size() <= kFewValues)
+        j["values"] = valuesJson(results);
+    printJson(j);
+}
+
+// --- the two kinds of query -----------------------------------------------------------
+
+void refuseLongJson(const Arguments& a, std::size_t count) {
+    if (a.json && a.output.empty() && count > kFewValues)
+        throw UsageError("--json: lists up to " + countText(kFewValues) +
+                         " results and " + "there are " + countText(count) +
+                         "; give -o FILE.csv for them");
+}
+
+void runRays(const Arguments& a, const ShadowMap& map, Talk& talk) {
+    RayOptions options;
+    if (a.bias) options.bias = float(*a.bias);
+    if (a.threshold) options.threshold = float(*a.threshold);
+    const std::vector<ShadowRay> rays = unwrap(readRays(a.raysFile));
+    refuseLongJson(a, rays.size());
+    const Results results = queryRays(map, rays, options, talk);
+    if (!a.json || !a.output.empty()) writeRayCsv(a, rays, results);
+    report(a, Kind::rays, results, talk);
+}
+
+void runPoints(const Arguments& a, Kind kind, const ShadowMap& map, Talk& talk) {
+    AreaLight light = map.info().light;
+    if (const auto shape = a.light.shape(); shape && a.light.shapeIndex)
+        light.shape = *shape;
+    applyLightOptions(a.light, light);
+    ShadowOptions options;
+    options.samples = int(a.samples);
+    options.seed = std::uint32_t(a.seed);
+    if (a.bias) options.bias = float(*a.bias);
+    if (a.threshold) options.threshold = float(*a.threshold);
+    options.method = a.method.value_or(0) == 1 ? ShadowMethod::pcf : ShadowMethod::trace;
+    options.weight = a.weight.value_or(0) == 1 ? Weight::cosine : Weight::uniform;
+    unwrap(checkQuery(map, light, options));
+
+    const Receivers r = receivers(a, kind, light);
+    if (options.weight == Weight::cosine && !r.normal)
+        throw UsageError(
+            "--weight: cosine needs the receiver's normals: columns nx,ny,nz");
+    refuseLongJson(a, isPicture(kind) ? 0 : r.count);
+    Results results = queryPoints(map, light, options, r, talk);
+    if (isPicture(kind) && extension(a.output) != ".csv")
+        writePicture(a, r, light, results);
+    else if (!a.json || !a.output.empty())
+        writePointCsv(a, r, results);
+    report(a, kind, results, talk);
+}
+
+void run(const Arguments& a, const CLI::App& app, Talk& talk) {
+    talk.setQuiet(a.quiet);
+    const Kind kind = inputKind(a);
+    checkArguments(a, app, kind);
+    if (!a.output.empty())
+        checkOutput(a.output,
+                    {a.map, a.pointsFile, a.raysFile, a.positionFile, a.normalFile});
+    const ShadowMap map = unwrap(readMap(a.map));
+    if (kind == Kind::rays)
+        runRays(a, map, talk);
+    else
+        runPoints(a, kind, map, talk);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    Talk talk("mtsm-query");
+    CLI::App app(kAbout, "mtsm-query");
+    describeTool(app, kExamples);
+    Arguments arguments;
+    addOptions(app, arguments);
+    return runTool(app, argc, argv, talk, [&] {
+        withThreads(arguments.threads, [&] { run(arguments, app, talk); });
+    });
+}
