@@ -12,7 +12,7 @@
 namespace mtsm::raster {
 namespace {
 
-// A slice's prepared triangles (64 bytes each) fit a core's second-level cache; a batch
+// A slice's prepared triangles (72 bytes each) fit a core's second-level cache; a batch
 // has enough slices for the threads of a large machine.
 constexpr std::uint32_t kSliceTriangles = 4096;
 constexpr std::uint32_t kSlices = 32;
@@ -123,27 +123,20 @@ void Rasteriser::prepare(const Chunk& chunk) {
     });
 }
 
-PixelRect Rasteriser::binsOf(const PreparedTriangle& t) const noexcept {
-    const PixelRect p = pixelBounds(t);
-    const auto shift = binShift_;
-    return intersect({p.x0 >> shift, p.y0 >> shift, p.x1 >> shift, p.y1 >> shift},
-                     {0, 0, std::int32_t(binsX_) - 1, std::int32_t(binsY_) - 1});
-}
-
 /// A counting sort.
 void Rasteriser::sortIntoBins(Slice& slice) const {
     const auto forEachBin = [&](std::uint32_t triangle, auto&& visit) {
-        const PixelRect bins = binsOf(slice.triangles[triangle]);
-        for (std::int32_t y = bins.y0; y <= bins.y1; ++y) {
-            for (std::int32_t x = bins.x0; x <= bins.x1; ++x)
-                visit(std::size_t(y) * binsX_ + std::size_t(x));
+        const PixelRect r = slice.triangles[triangle].pixels();
+        for (std::int32_t y = r.y0 >> binShift_; y <= r.y1 >> binShift_; ++y) {
+            for (std::int32_t x = r.x0 >> binShift_; x <= r.x1 >> binShift_; ++x)
+                visit(std::uint32_t(y) * binsX_ + std::uint32_t(x));
         }
     };
     const auto triangles = std::uint32_t(slice.triangles.size());
     std::vector<std::uint32_t>& begin = slice.begin;
     begin.assign(std::size_t(binsX_) * binsY_ + 1, 0);
     for (std::uint32_t i = 0; i < triangles; ++i)
-        forEachBin(i, [&](std::size_t bin) { ++begin[bin]; });
+        forEachBin(i, [&](std::uint32_t bin) { ++begin[bin]; });
     std::uint32_t total = 0;
     for (std::uint32_t& b : begin) {  // to where each bin ends
         total += b;
@@ -151,7 +144,7 @@ void Rasteriser::sortIntoBins(Slice& slice) const {
     }
     slice.order.resize(total);
     for (std::uint32_t i = triangles; i-- > 0;)
-        forEachBin(i, [&](std::size_t bin) { slice.order[--begin[bin]] = i; });
+        forEachBin(i, [&](std::uint32_t bin) { slice.order[--begin[bin]] = i; });
 }
 
 void Rasteriser::drawBin(std::uint32_t bin) const {
@@ -175,7 +168,7 @@ void Rasteriser::drawBin(std::uint32_t bin) const {
 template <ProjectionKind kind>
 void Rasteriser::drawInBin(const PreparedTriangle& t, PixelRect bin) const {
     constexpr std::int32_t shift = KBuffer::kTileShift, side = KBuffer::kTileSize;
-    const PixelRect r = intersect(pixelBounds(t), bin);
+    const PixelRect r = intersect(t.pixels(), bin);
     for (std::int32_t ty = r.y0 >> shift; ty <= r.y1 >> shift; ++ty) {
         for (std::int32_t tx = r.x0 >> shift; tx <= r.x1 >> shift; ++tx) {
             KTile& tile = buffer_.tile(std::uint32_t(tx), std::uint32_t(ty));

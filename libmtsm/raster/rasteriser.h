@@ -53,7 +53,6 @@ class Rasteriser {
     void drawBin(std::uint32_t bin) const;
     template <ProjectionKind kind>
     void drawInBin(const PreparedTriangle& t, PixelRect bin) const;
-    [[nodiscard]] PixelRect binsOf(const PreparedTriangle& t) const noexcept;
     Status flush();
 
     Projection projection_;

@@ -27,6 +27,14 @@ std::int32_t snap(double pixels) {
     return std::int32_t(std::int64_t(steps + (kOffset + 0.5)) - std::int64_t(kOffset));
 }
 
+/// The first pixel centre at or behind a coordinate, and the last one at or before it.
+std::int32_t firstCentre(std::int32_t v) {
+    return (v + (kSubpixels / 2 - 1)) >> kSubpixelBits;
+}
+std::int32_t lastCentre(std::int32_t v) {
+    return (v - kSubpixels / 2) >> kSubpixelBits;
+}
+
 /// In grid steps; positive where the corners run clockwise (y down).
 std::int64_t doubleArea(const Vertex& a, const Vertex& b, const Vertex& c) {
     return std::int64_t(b.x - a.x) * (c.y - a.y) - std::int64_t(b.y - a.y) * (c.x - a.x);
@@ -225,23 +233,31 @@ bool TriangleSetup::missesWindow(const Vertex* corners,
 void TriangleSetup::emit(const Vertex& a, const Vertex& b, const Vertex& c,
                          const Plane& plane, float opacity,
                          std::vector<PreparedTriangle>& out) const {
+    const auto least = [](auto x, auto y, auto z) { return std::min(std::min(x, y), z); };
+    const auto most = [](auto x, auto y, auto z) { return std::max(std::max(x, y), z); };
+    const std::int32_t left = least(a.x, b.x, c.x), right = most(a.x, b.x, c.x);
+    const std::int32_t top = least(a.y, b.y, c.y), bottom = most(a.y, b.y, c.y);
+    const PixelRect pixels{std::max(firstCentre(left), 0), std::max(firstCentre(top), 0),
+                           std::min(lastCentre(right), width_ - 1),
+                           std::min(lastCentre(bottom), height_ - 1)};
     const std::int64_t area = doubleArea(a, b, c);
-    if (area == 0 || plane.edgeOn) return;
+    if (pixels.empty() || area == 0 || plane.edgeOn) return;
+
+    // The plane is exact at corner a.
+    const double toX = pixels.x0 + 0.5 - a.raster.x, toY = pixels.y0 + 0.5 - a.raster.y;
     const Vertex &second = area > 0 ? b : c, &third = area > 0 ? c : b;
-    PreparedTriangle t{{a.x, second.x, third.x},
-                       {a.y, second.y, third.y},
-                       0.0,
-                       plane.dx,
-                       plane.dy,
-                       float(std::min({a.light.z, b.light.z, c.light.z})),
-                       float(std::max({a.light.z, b.light.z, c.light.z})),
-                       opacity};
-    if (intersect(pixelBounds(t), {0, 0, width_ - 1, height_ - 1}).empty()) return;
-    // The plane is exact at corner a, which is not quite where a was snapped to.
-    const glm::dvec2 moved = glm::dvec2(a.x, a.y) * (1.0 / kSubpixels) - a.raster;
-    t.at = (perspective_ ? 1.0 / a.light.z : a.light.z) + plane.dx * moved.x +
-           plane.dy * moved.y;
-    out.push_back(t);
+    PreparedTriangle& t = out.emplace_back();
+    t.x[0] = a.x, t.x[1] = second.x, t.x[2] = third.x;
+    t.y[0] = a.y, t.y[1] = second.y, t.y[2] = third.y;
+    t.x0 = std::uint16_t(pixels.x0), t.x1 = std::uint16_t(pixels.x1);
+    t.y0 = std::uint16_t(pixels.y0), t.y1 = std::uint16_t(pixels.y1);
+    t.at = (perspective_ ? 1.0 / a.light.z : a.light.z) + plane.dx * toX + plane.dy * toY;
+    t.dx = plane.dx;
+    t.dy = plane.dy;
+    t.zMin = float(least(a.light.z, b.light.z, c.light.z));
+    t.zMax = float(most(a.light.z, b.light.z, c.light.z));
+    t.opacity = opacity;
+    t.small = right - left <= 7 * kSubpixels && bottom - top <= 7 * kSubpixels;
 }
 
 }  // namespace mtsm::raster

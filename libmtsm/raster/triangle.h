@@ -16,13 +16,14 @@
 // Bit budget. The window is at most 2^15 pixels wide. Triangles that reach further than a
 // guard band of 2^14 pixels beyond it are cut there first, so coordinates lie in
 // [-2^14, 2^15 + 2^14] pixels, |x| < 2^30 grid steps (int32); differences are at most
-// 2^30, their products 2^60, an edge function 2^61: int64 holds it.
+// 2^30 (int32), their products 2^60, an edge function 2^61 (int64).
 //
 // Depth is that of the triangle's plane (the whole one's, also where it was cut) on the
 // centre ray, in double, kept within the depths of the triangle's corners, and float from
 // there on.
 #pragma once
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <glm/vec2.hpp>
@@ -85,22 +86,32 @@ struct Vertex {
     std::uint32_t flags = 0;    ///< 0: finite, between near and far, within the window
 };
 
-/// All that drawing needs, in one cache line. Corners run clockwise as seen on the raster
-/// (y down).
-struct PreparedTriangle {
-    std::int32_t x[3], y[3];
-    /// On the plane, q = at + dx * (x - x[0]) + dy * (y - y[0]) with x and y in pixels; q
-    /// is 1/z for a perspective projection and z for an orthographic one.
-    double at, dx, dy;
-    float zMin, zMax;
-    float opacity;
-};
-
 /// Pixels x0..x1, y0..y1, both ends included; empty when x0 > x1 or y0 > y1.
 struct PixelRect {
     std::int32_t x0, y0, x1, y1;
 
     [[nodiscard]] bool empty() const noexcept { return x0 > x1 || y0 > y1; }
+};
+
+[[nodiscard]] inline PixelRect intersect(PixelRect a, PixelRect b) noexcept {
+    return {std::max(a.x0, b.x0), std::max(a.y0, b.y0), std::min(a.x1, b.x1),
+            std::min(a.y1, b.y1)};
+}
+
+/// All that drawing needs. Corners run clockwise as seen on the raster (y down).
+struct PreparedTriangle {
+    std::int32_t x[3], y[3];
+    /// Pixels whose centres lie in the corners' bounding box and in the window: not
+    /// empty.
+    std::uint16_t x0, y0, x1, y1;
+    /// On the plane, q = at + dx * (x - x0) + dy * (y - y0) at the centre of pixel (x,
+    /// y); q is 1/z for a perspective projection and z for an orthographic one.
+    double at, dx, dy;
+    float zMin, zMax;
+    float opacity;
+    bool small;  ///< reaches over 8 x 8 pixels at most, those outside the window counted
+
+    [[nodiscard]] PixelRect pixels() const noexcept { return {x0, y0, x1, y1}; }
 };
 
 class TriangleSetup {
@@ -138,40 +149,52 @@ class TriangleSetup {
     std::int32_t width_, height_;
 };
 
-/// Pixels whose centres lie in the bounding box of the snapped corners.
-[[nodiscard]] inline PixelRect pixelBounds(const PreparedTriangle& t) noexcept {
-    constexpr std::int32_t half = kSubpixels / 2;
-    const auto first = [](std::int32_t v) { return (v + half - 1) >> kSubpixelBits; };
-    const auto last = [](std::int32_t v) { return (v - half) >> kSubpixelBits; };
-    return {first(std::min({t.x[0], t.x[1], t.x[2]})),
-            first(std::min({t.y[0], t.y[1], t.y[2]})),
-            last(std::max({t.x[0], t.x[1], t.x[2]})),
-            last(std::max({t.y[0], t.y[1], t.y[2]}))};
-}
-
-[[nodiscard]] inline PixelRect intersect(PixelRect a, PixelRect b) noexcept {
-    return {std::max(a.x0, b.x0), std::max(a.y0, b.y0), std::min(a.x1, b.x1),
-            std::min(a.y1, b.y1)};
-}
-
 namespace detail {
 
 /// The three edge functions at one pixel centre: all >= 0 where it is covered. Ties are
-/// already decided: an edge that is neither top nor left is lowered by one.
+/// already decided: an edge that is neither top nor left is lowered by one. From one
+/// pixel to the next a value changes by a multiple of the grid, so the grid's bits are
+/// shifted out without changing any sign.
 struct Edges {
-    std::int64_t value[3], stepX[3], stepY[3];
+    std::int64_t value[3];
+    std::int32_t stepX[3], stepY[3];
 
     Edges(const PreparedTriangle& t, std::int32_t pixelX, std::int32_t pixelY) noexcept {
-        const std::int64_t px = (std::int64_t(pixelX) << kSubpixelBits) + kSubpixels / 2;
-        const std::int64_t py = (std::int64_t(pixelY) << kSubpixelBits) + kSubpixels / 2;
+        const std::int32_t px = pixelX * kSubpixels + kSubpixels / 2;
+        const std::int32_t py = pixelY * kSubpixels + kSubpixels / 2;
         for (int i = 0; i < 3; ++i) {
             const int j = i == 2 ? 0 : i + 1;
-            const std::int64_t dx = t.x[j] - t.x[i], dy = t.y[j] - t.y[i];
+            const std::int32_t dx = t.x[j] - t.x[i], dy = t.y[j] - t.y[i];
             const bool topLeft = dy < 0 || (dy == 0 && dx > 0);
-            value[i] = dx * (py - t.y[i]) - dy * (px - t.x[i]) - (topLeft ? 0 : 1);
-            stepX[i] = -dy * kSubpixels;
-            stepY[i] = dx * kSubpixels;
+            const std::int64_t e =
+                std::int64_t(dx) * (py - t.y[i]) - std::int64_t(dy) * (px - t.x[i]);
+            value[i] = (e - (topLeft ? 0 : 1)) >> kSubpixelBits;
+            stepX[i] = -dy;
+            stepY[i] = dx;
         }
+    }
+
+    /// Of the w x h pixels, 8 x 8 at most, that end at this one: bit 8 y + x is set where
+    /// pixel (x, y) is covered. Only for small triangles, whose values fit 32 bits.
+    [[nodiscard]] std::uint64_t mask(std::int32_t w, std::int32_t h) const noexcept {
+        std::int32_t rowA = std::int32_t(value[0]), rowB = std::int32_t(value[1]),
+                     rowC = std::int32_t(value[2]);
+        std::uint64_t covered = 0;
+        for (std::int32_t y = h; y-- > 0;) {
+            std::int32_t a = rowA, b = rowB, c = rowC;
+            std::uint32_t outside = 0;
+            for (std::int32_t x = w; x-- > 0;) {
+                outside = 2 * outside + (std::uint32_t(a | b | c) >> 31);
+                a -= stepX[0];
+                b -= stepX[1];
+                c -= stepX[2];
+            }
+            covered = covered << 8 | (~outside & ((1u << w) - 1));
+            rowA -= stepY[0];
+            rowB -= stepY[1];
+            rowC -= stepY[2];
+        }
+        return covered;
     }
 
     /// True if one edge has all of a rectangle, w x h pixels from here, outside.
@@ -211,44 +234,35 @@ struct Edges {
 /// `kind` is that of the projection it was prepared for.
 template <ProjectionKind kind, typename Sink>
 inline void drawTriangle(const PreparedTriangle& t, PixelRect within, Sink&& sink) {
-    const PixelRect r = intersect(pixelBounds(t), within);
+    const PixelRect r = intersect(t.pixels(), within);
     if (r.empty()) return;
-    const double toX = 0.5 - t.x[0] * (1.0 / kSubpixels);
-    const double toY = 0.5 - t.y[0] * (1.0 / kSubpixels);
-    const auto depth = [&](double row, std::int32_t x) {
-        const double q = row + t.dx * (x + toX);
+    const double zMin = t.zMin, zMax = t.zMax;
+    const auto sample = [&](std::int32_t x, std::int32_t y) {
+        const double q = t.at + t.dx * (x - t.x0) + t.dy * (y - t.y0);
         double z = q;
         if constexpr (kind == ProjectionKind::perspective)
-            z = q > 0.0 ? 1.0 / q : double(t.zMax);  // the plane runs past the ray
-        return float(std::min(std::max(z, double(t.zMin)), double(t.zMax)));
+            z = q > 0.0 ? 1.0 / q : zMax;  // else the plane runs past the ray
+        z = z < zMin ? zMin : z;
+        sink(x, y, float(z > zMax ? zMax : z));
     };
-    detail::Edges edges(t, r.x0, r.y0);
     const std::int32_t w = r.x1 - r.x0 + 1, h = r.y1 - r.y0 + 1;
-    constexpr std::int32_t kNarrow = 6;  // measured: below, testing beats dividing
-    if (w <= kNarrow) {
-        for (std::int32_t y = r.y0; y <= r.y1; ++y) {
-            const double row = t.at + t.dy * (y + toY);
-            std::int64_t a = edges.value[0], b = edges.value[1], c = edges.value[2];
-            for (std::int32_t x = r.x0; x <= r.x1; ++x) {
-                if ((a | b | c) >= 0) sink(x, y, depth(row, x));
-                a += edges.stepX[0];
-                b += edges.stepX[1];
-                c += edges.stepX[2];
-            }
-            edges.down();
+    if (t.small) {
+        // All pixels are tested, without a branch each, and then the covered ones are
+        // visited. Most triangles of a dense mesh end here.
+        std::uint64_t covered = detail::Edges(t, r.x1, r.y1).mask(w, h);
+        for (; covered; covered &= covered - 1) {
+            const auto bit = std::int32_t(std::countr_zero(covered));
+            sample(r.x0 + (bit & 7), r.y0 + (bit >> 3));
         }
         return;
     }
+    detail::Edges edges(t, r.x0, r.y0);
     if (edges.miss(w, h)) return;
-    for (std::int32_t y = r.y0; y <= r.y1; ++y) {
-        const double row = t.at + t.dy * (y + toY);
+    for (std::int32_t y = r.y0; y <= r.y1; ++y, edges.down()) {
         std::int64_t first = 0, last = w - 1;
         edges.span(first, last);
-        for (std::int64_t i = first; i <= last; ++i) {
-            const std::int32_t x = r.x0 + std::int32_t(i);
-            sink(x, y, depth(row, x));
-        }
-        edges.down();
+        for (std::int64_t i = first; i <= last; ++i)
+            sample(r.x0 + std::int32_t(i), y);
     }
 }
 
