@@ -10,10 +10,11 @@
 
 namespace mtsm::shadow {
 
-// The receiver's own surface, told from its blockers in two ways. Both numbers are measured
-// (tests/bench/NOTES.md): lower ones leave acne, higher ones lose contact shadows.
-/// With a normal: layers that lie no higher than this above the tangent plane are the receiver's
-/// own. In pixel footprints at the receiver's depth.
+// The receiver's own surface, told from its blockers in two ways. Both numbers are
+// measured (tests/bench/NOTES.md): lower ones leave acne, higher ones lose contact
+// shadows.
+/// With a normal: layers that lie no higher than this above the tangent plane are the
+/// receiver's own. In pixel footprints at the receiver's depth.
 inline constexpr double kPlaneHeight = 0.3;
 /// Without: rays start this many biases from the receiver.
 inline constexpr double kStartBiases = 5.0;
