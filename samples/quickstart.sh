@@ -32,7 +32,7 @@ step "4. Bake: a disk light of radius 0.5 sees the body; the floor is left out o
     --light-shape disk --light-position 2.5,5,2 --light-radius 0.5 --resolution 1024 --layers 5
 step "5. What is in the map" $build/tools/mtsm-dump "$out/quickstart.mtsm"
 step "6. Shadow the floor from the map: 512 x 512 points, 256 rays each" \
-    $build/tools/mtsm-query "$out/quickstart.mtsm" --plane -3,0,3,6,0,0,0,0,-6 --size 512x512 \
+    $build/tools/mtsm-query "$out/quickstart.mtsm" --plane -3,0,2,4.5,0,0,0,0,-4.5 --size 512x512 \
     --samples 256 --stats -o "$out/quickstart.png"
 echo
 echo "The shadow is in $out/quickstart.png: look at it. The map is in $out/quickstart.mtsm."

@@ -148,6 +148,30 @@ glm::dvec3 EmbreeReference::boundsMax() const noexcept {
     return scene_->high;
 }
 
+std::optional<EmbreeReference::Hit> EmbreeReference::firstHit(
+    glm::dvec3 origin, glm::dvec3 direction) const noexcept {
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    const glm::dvec3 o = origin - scene_->origin, d = glm::normalize(direction);
+    RTCRayHit ray{};
+    ray.ray.org_x = float(o.x);
+    ray.ray.org_y = float(o.y);
+    ray.ray.org_z = float(o.z);
+    ray.ray.dir_x = float(d.x);
+    ray.ray.dir_y = float(d.y);
+    ray.ray.dir_z = float(d.z);
+    ray.ray.tfar = std::numeric_limits<float>::infinity();
+    ray.ray.mask = ~0u;
+    ray.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+    rtcIntersect1(scene_->scene, &context, &ray);
+    if (ray.hit.geomID == RTC_INVALID_GEOMETRY_ID) return std::nullopt;
+    Hit hit;
+    hit.position = origin + double(ray.ray.tfar) * d;
+    hit.normal = glm::normalize(glm::dvec3(ray.hit.Ng_x, ray.hit.Ng_y, ray.hit.Ng_z));
+    if (glm::dot(hit.normal, d) > 0.0) hit.normal = -hit.normal;
+    return hit;
+}
+
 void EmbreeReference::shadowFactors(const AreaLight& light, const glm::dvec3* points,
                                     const glm::dvec3* normals, std::size_t count,
                                     float* out,

@@ -12,6 +12,7 @@
 #include <cstdint>
 #include <glm/vec3.hpp>
 #include <memory>
+#include <optional>
 
 #include "mtsm/light.h"
 #include "mtsm/result.h"
@@ -46,6 +47,16 @@ class EmbreeReference {
     void shadowFactors(const AreaLight& light, const glm::dvec3* points,
                        const glm::dvec3* normals, std::size_t count, float* out,
                        const ReferenceOptions& options = {}) const noexcept;
+
+    /// What a ray meets first, for position passes.
+    struct Hit {
+        glm::dvec3 position{0.0};
+        glm::dvec3 normal{
+            0.0};  ///< unit, of the triangle, turned to where the ray came from
+    };
+    /// `direction` need not be a unit vector.
+    [[nodiscard]] std::optional<Hit> firstHit(glm::dvec3 origin,
+                                              glm::dvec3 direction) const noexcept;
 
   private:
     struct Scene;
