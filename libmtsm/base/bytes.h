@@ -56,8 +56,9 @@ class ByteWriter {
     template <typename T>
     void put(T value) {
         static_assert(std::is_trivially_copyable_v<T>);
-        const auto* first = reinterpret_cast<const std::uint8_t*>(&value);
-        out_.insert(out_.end(), first, first + sizeof(T));
+        const std::size_t at = out_.size();
+        out_.resize(at + sizeof(T));
+        std::memcpy(out_.data() + at, &value, sizeof(T));
     }
     void bytes(std::span<const std::uint8_t> b) {
         out_.insert(out_.end(), b.begin(), b.end());
