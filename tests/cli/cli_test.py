@@ -5,6 +5,7 @@ Algorithms are tested in the library; here it is exit codes (0 good, 2 usage, 3 
 file, 5 unsupported), messages, and that bake, query and dump work together on a scene whose shadow is
 known: a square over a floor.
 """
+import base64
 import csv
 import io
 import json
@@ -39,6 +40,31 @@ v -5 0 5
 f 5 6 7 8
 """
 LIGHT = ["--light-radius", "0.3", "--light-position", "0,4,0"]
+
+
+def gltf_with_lights():
+    """The square of SCENE, a point light "Lamp" above it and a sun "Sun" that shines along -y."""
+    corners = struct.pack("<12f", -1, 1, -1, 1, 1, -1, 1, 1, 1, -1, 1, 1)
+    data = corners + struct.pack("<6H", 0, 1, 2, 0, 2, 3)
+    half = math.sqrt(0.5)
+    return json.dumps({
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0, 1, 2]}],
+        "extensionsUsed": ["KHR_lights_punctual"],
+        "extensions": {"KHR_lights_punctual": {"lights": [
+            {"type": "point", "name": "Lamp"}, {"type": "directional", "name": "Sun"}]}},
+        "nodes": [{"name": "square", "mesh": 0},
+                  {"name": "Lamp", "translation": [0, 4, 0],
+                   "extensions": {"KHR_lights_punctual": {"light": 0}}},
+                  {"name": "Sun", "rotation": [-half, 0, 0, half],
+                   "extensions": {"KHR_lights_punctual": {"light": 1}}}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3",
+                       "min": [-1, 1, -1], "max": [1, 1, 1]},
+                      {"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 48},
+                        {"buffer": 0, "byteOffset": 48, "byteLength": 12}],
+        "buffers": [{"byteLength": 60, "uri": "data:application/octet-stream;base64," +
+                     base64.b64encode(data).decode()}]})
 
 OPTIONS = {
     "bake": """--output --light-shape --light-position --light-target --light-direction --light-up
@@ -345,6 +371,25 @@ class Bake(ToolTest):
         self.fails(self.bake(*inside), 2, "inside", "--fov")
         self.leaves("scene.obj")
         self.good(self.bake(*inside, "--fov", 90))
+
+    def test_a_light_is_taken_from_the_file_and_changed_by_options(self):
+        pathlib.Path("lit.gltf").write_text(gltf_with_lights())
+
+        def light(*options):
+            done = self.good(run("bake", "lit.gltf", "-o", "a.mtsm", "--resolution", 16, "--json", *options))
+            return json.loads(done.stdout)["light"]
+
+        lamp = light("--light-name", "Lamp")
+        self.assertEqual((lamp["shape"], lamp["position"]), ("point", [0, 4, 0]))
+        lamp = light("--light-name", "Lamp", "--light-shape", "sphere", "--light-radius", "0.2")
+        self.assertEqual((lamp["shape"], lamp["position"], lamp["radius"]), ("sphere", [0, 4, 0], 0.2))
+        sun = light("--light-name", "Sun", "--light-angle", 2)
+        self.assertEqual((sun["shape"], round(sun["angularDiameterDegrees"], 9)), ("sun", 2))
+        for got, want in zip(sun["direction"], (0, -1, 0)):
+            self.assertAlmostEqual(got, want, places=6)
+        self.fails(run("bake", "lit.gltf", "-o", "b.mtsm", "--light-name", "Key"), 2, "Key", "Lamp", "Sun")
+        self.fails(run("bake", "lit.gltf", "-o", "b.mtsm", "--light-name", "Sun", "--light-radius", 1), 2,
+                   "--light-radius")
 
     def test_casters_are_chosen_by_name(self):
         done = self.fails(self.bake(*LIGHT, "--include", "tree*"), 2, "square", "floor")
