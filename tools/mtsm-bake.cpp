@@ -64,7 +64,9 @@ void addOptions(CLI::App& app, Arguments& a) {
     addWhole(app, "--level", a.level, 1, 19, "zstd: effort, 1 to 19 (default: 3)")
         ->group("Files");
 
-    addLightSizeOptions(app, a.light, "Light");
+    addLightSizeOptions(
+        app, a.light, "Light",
+        "what the size given belongs\nto: radius disk, size rect, angle sun; else point");
     addLightAimOptions(app, a.light, "Light");
     addText(app, "--light-name", a.lightName, "NAME",
             "take the light of this name from the inputs; the\n"

@@ -160,7 +160,9 @@ void addOptions(CLI::App& app, Arguments& a) {
               "plain mean over the light, or the ratio of\n"
               "irradiances, which needs normals (default: uniform)")
         ->group("Query");
-    addLightSizeOptions(app, a.light, "Light, if other than the map's: within it");
+    addLightSizeOptions(app, a.light,
+                        "Light (default: the map's; another must lie within it)",
+                        "the map's");
     addWhole(app, "--threads", a.threads, 0, 1024,
              "0: as many as the machine has (default)")
         ->group("General");

@@ -69,7 +69,9 @@ Result<AtomicOutput> AtomicOutput::create(const std::string& path) {
         out.keepError();
         return out.systemError();
     }
-    out.file_ = ::fdopen(fd, "wb");
+    const auto mode = static_cast<mode_t>(status.permissions());
+    const bool kept = !fs::exists(status) || ::fchmod(fd, mode) == 0;
+    out.file_ = kept ? ::fdopen(fd, "wb") : nullptr;
     if (!out.file_) {
         out.keepError();
         ::close(fd);

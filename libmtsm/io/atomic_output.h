@@ -22,6 +22,7 @@ class AtomicOutput {
   public:
     /// Opens the temporary. A target that is there and is no regular file (a folder, a
     /// device) is refused; a symbolic link stays and the file it points to is replaced.
+    /// The new file keeps the permissions of the one it replaces.
     static Result<AtomicOutput> create(const std::string& path);
 
     AtomicOutput(AtomicOutput&& other) noexcept;

@@ -113,7 +113,8 @@ TEST_CASE("seek goes back and overwrites", "[io][atomic]") {
     CHECK(contents(path) == "1200data");
 }
 
-TEST_CASE("a new file has the permissions that the umask leaves", "[io][atomic]") {
+TEST_CASE("a new file has the permissions that the umask leaves, a replaced one its own",
+          "[io][atomic]") {
     TempFolder folder;
     const std::string path = folder / "a.txt";
     const mode_t old = ::umask(027);
@@ -123,6 +124,10 @@ TEST_CASE("a new file has the permissions that the umask leaves", "[io][atomic]"
     struct stat info {};
     REQUIRE(::stat(path.c_str(), &info) == 0);
     CHECK((info.st_mode & 0777) == 0640);
+    REQUIRE(::chmod(path.c_str(), 0604) == 0);
+    REQUIRE(io::writeFileAtomically(path, "y", 1));
+    REQUIRE(::stat(path.c_str(), &info) == 0);
+    CHECK((info.st_mode & 0777) == 0604);
 }
 
 TEST_CASE("a link stays a link and its file is replaced", "[io][atomic]") {

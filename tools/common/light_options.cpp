@@ -51,11 +51,11 @@ std::optional<LightShape> LightOptions::shape() const {
     return std::nullopt;
 }
 
-void addLightSizeOptions(CLI::App& app, LightOptions& light, const std::string& group) {
+void addLightSizeOptions(CLI::App& app, LightOptions& light, const std::string& group,
+                         const std::string& shapeDefault) {
     addChoice(app, "--light-shape", light.shapeIndex,
               {"point", "disk", "rect", "sphere", "sun"},
-              "what shines (default: what the size given belongs\n"
-              "to: radius disk, size rect, angle sun; else point)")
+              "what shines (default: " + shapeDefault + ")")
         ->group(group);
     addTriple(app, "--light-position", light.position, "centre of the light, world space")
         ->group(group);

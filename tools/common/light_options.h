@@ -23,8 +23,10 @@ struct LightOptions {
     [[nodiscard]] std::optional<LightShape> shape() const;
 };
 
-/// --light-shape, -position, -radius, -size and -angle.
-void addLightSizeOptions(CLI::App& app, LightOptions& light, const std::string& group);
+/// --light-shape, -position, -radius, -size and -angle. `shapeDefault` ends the help of
+/// --light-shape.
+void addLightSizeOptions(CLI::App& app, LightOptions& light, const std::string& group,
+                         const std::string& shapeDefault);
 /// --light-target, -direction and -up.
 void addLightAimOptions(CLI::App& app, LightOptions& light, const std::string& group);
 

@@ -58,7 +58,9 @@ int runTool(CLI::App& app, int argc, char** argv, Talk& talk,
         return 0;
     } catch (const CLI::Success& asked) {  // --help, --version
         app.exit(asked, std::cout, std::cerr);
-        return std::cout.flush() ? 0 : exitCode(ErrorCode::io);
+        if (std::cout.flush()) return 0;
+        talk.error("standard output: cannot write");
+        return exitCode(ErrorCode::io);
     } catch (const CLI::ParseError& wrong) {
         talk.error(wrong.what() + seeHelp);
     } catch (const UsageError& wrong) {
