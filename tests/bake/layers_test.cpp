@@ -21,8 +21,8 @@ Tile layers(const std::vector<std::pair<float, float>>& samples, std::uint32_t k
     for (const auto& [z, opacity] : samples)
         tile.insert(0, z, opacity);
     Tile t = layersOf(tile);
-    CHECK(4 * (t.begin.size() + t.z.size() + t.v.size()) <=
-          bake_detail::layerBytes(tile));
+    // No more than was reserved.
+    CHECK(4 * (t.begin.size() + t.z.size() + t.v.size()) <= tile.bytes() + 4 * 2);
     return t;
 }
 

@@ -49,18 +49,19 @@ std::vector<Pixel> rasterise(const Projection& p, std::uint32_t side, std::uint3
     REQUIRE(rasteriser.finish());
     std::vector<Pixel> pixels(std::size_t(side) * side);
     *dropped = 0;
+    for (const KTile& tile : buffer.tiles())
+        *dropped += tile.samples() - tile.copies();
     for (std::uint32_t y = 0; y < side; ++y) {
         for (std::uint32_t x = 0; x < side; ++x) {
             const KTile& tile = buffer.tile(x / 64, y / 64);
             if (tile.empty()) continue;
             const std::uint32_t at = y % 64 * tile.width() + x % 64;
+            *dropped -= tile.count(at);
             for (std::uint32_t i = 0; i < tile.count(at); ++i)
                 pixels[y * side + x].samples.emplace_back(
                     tile.z(at)[i], tile.opacity(at) ? tile.opacity(at)[i] : 1.0f);
         }
     }
-    for (const KTile& tile : buffer.tiles())
-        *dropped += tile.dropped();
     return pixels;
 }
 
