@@ -1,11 +1,11 @@
 // bake(): placement, rasterising, layers, map.
 #include "mtsm/bake.h"
 
-#include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
-#include <tbb/parallel_reduce.h>
 
+#include <algorithm>
 #include <exception>
+#include <limits>
 #include <new>
 
 #include "bake/layers.h"

@@ -264,7 +264,7 @@ TEST_CASE("a light much larger than the scene leaves depth its precision", "[bak
     CHECK(b.map.zRange(0).min < b.map.zRange(0).max);
 }
 
-TEST_CASE("casters are read once more than the window needs", "[bake]") {
+TEST_CASE("casters are visited as often as the options leave open", "[bake]") {
     Casters casters({octagon(2)});
     BakeOptions o = lamp(LightShape::disk, {0, 4, 0}, 0.3);
     mustBake(casters, o);
