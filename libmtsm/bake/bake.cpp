@@ -1,11 +1,11 @@
 // bake(): placement, rasterising, layers, map.
 #include "mtsm/bake.h"
 
-#include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
-#include <tbb/parallel_reduce.h>
 
+#include <algorithm>
 #include <exception>
+#include <limits>
 #include <new>
 
 #include "bake/layers.h"
@@ -104,31 +104,23 @@ Status rasterise(Visits& visits, const Placement& placed, const BakeOptions& opt
 }
 
 /// Turns the buffer into tiles, emptying it, and counts its samples.
-Result<std::vector<Tile>> takeLayers(KBuffer& buffer, const BakeOptions& options,
-                                     MemoryBudget& budget, const Progress& progress,
+Result<std::vector<Tile>> takeLayers(KBuffer& buffer, const Progress& progress,
                                      MapInfo& info) {
     constexpr const char* kStage = "building map";
     std::vector<KTile>& from = buffer.tiles();
-    std::uint64_t grown = 0;  // beyond what the tile itself gives back
-    for (const KTile& tile : from) {
-        const std::uint64_t bytes = bake_detail::layerBytes(tile);
-        if (bytes > tile.bytes()) grown += bytes - tile.bytes();
-    }
-    if (!budget.reserve(grown)) return tooLarge(options);
-
     std::vector<Tile> tiles(from.size());
-    std::vector<std::uint64_t> dropped(from.size());
+    std::vector<std::uint64_t> copies(from.size());
     const std::size_t row = buffer.tilesX();
     for (std::size_t first = 0; first < from.size(); first += row) {
         if (auto s = progress(kStage, double(first) / double(from.size())); !s)
             return s.error();
         tbb::parallel_for(first, first + row, [&](std::size_t i) {
             tiles[i] = bake_detail::layersOf(from[i]);
-            dropped[i] = from[i].dropped();
+            copies[i] = from[i].copies();
         });
         for (std::size_t i = first; i < first + row; ++i) {
             info.samples += from[i].samples();
-            info.samplesDropped += dropped[i];
+            info.samplesDropped += from[i].samples() - tiles[i].z.size() - copies[i];
             from[i].clear();
         }
     }
@@ -179,7 +171,7 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
     report.readSeconds = visits.readSeconds();
     report.rasterSeconds = visits.visitorSeconds();
 
-    auto tiles = takeLayers(buffer, options, budget, progress, info);
+    auto tiles = takeLayers(buffer, progress, info);
     if (!tiles) return tiles.error();
     info.bias = options.bias ? *options.bias : defaultBias(placed->projection, *tiles);
     std::vector<MapFace> faces(1);

@@ -13,7 +13,4 @@ namespace mtsm::bake_detail {
 /// opaque have no v plane. Empty if the tile is.
 Tile layersOf(const raster::KTile& tile);
 
-/// Bytes that layersOf(tile) takes at most.
-std::uint64_t layerBytes(const raster::KTile& tile);
-
 }  // namespace mtsm::bake_detail

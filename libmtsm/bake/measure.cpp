@@ -3,13 +3,15 @@
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_reduce.h>
 
+#include <algorithm>
 #include <cmath>
-#include <functional>
 #include <glm/common.hpp>
 #include <glm/geometric.hpp>
+#include <vector>
 
 #include "raster/clip.h"
 #include "raster/light_from_object.h"
+#include "raster/mesh_chunk.h"
 #include "raster/triangle.h"
 
 namespace mtsm::bake_detail {
@@ -28,38 +30,72 @@ struct Depths {
     bool perspective;
 };
 
-void includeTriangle(Extent& extent, const glm::dvec3 (&p)[3], double origin2,
-                     const Depths& depths) {
-    if (!(usable(p[0]) && usable(p[1]) && usable(p[2]))) {
-        ++extent.nonFinite;
-        return;
+/// One task's triangles. Corners of triangles that lie wholly between near and far are
+/// only marked; each is included once.
+class ChunkMeasure {
+  public:
+    ChunkMeasure(const MeshView& mesh, std::size_t first, std::size_t count,
+                 const LightFromObject& lightFromObject, const Depths& depths)
+        : chunk_(mesh, first, count),
+          origin2_(glm::dot(lightFromObject.origin, lightFromObject.origin)),
+          depths_(depths),
+          light_(chunk_.vertices()),
+          within_(chunk_.vertices(), false) {
+        for (std::size_t i = 0; i < light_.size(); ++i)
+            light_[i] = lightFromObject(chunk_.position(i));
+        for (std::size_t i = 0; i < 3 * count; i += 3)
+            addTriangle(chunk_.corner(i), chunk_.corner(i + 1), chunk_.corner(i + 2));
+        for (std::size_t i = 0; i < light_.size(); ++i) {
+            if (within_[i]) extent_.include(light_[i], depths_.perspective);
+        }
     }
-    if (!raster::TriangleNormal(p[0], p[1], p[2], origin2).hasArea) {
-        ++extent.degenerate;
-        return;
+    [[nodiscard]] const Extent& extent() const { return extent_; }
+
+  private:
+    [[nodiscard]] bool within(glm::dvec3 p) const {
+        return p.z >= depths_.near && p.z <= depths_.far;
     }
-    raster::Polygon polygon;
-    for (const glm::dvec3& corner : p)
-        polygon.add(corner);
-    polygon = raster::clipDepth(polygon, depths.near, depths.far);
-    if (polygon.size < 3) ++extent.outside;
-    for (std::size_t i = 0; polygon.size >= 3 && i < polygon.size; ++i)
-        extent.include(polygon.corner[i], depths.perspective);
-}
+
+    void addTriangle(std::size_t a, std::size_t b, std::size_t c) {
+        const glm::dvec3 p = light_[a], q = light_[b], r = light_[c];
+        if (!(usable(p) && usable(q) && usable(r))) {
+            ++extent_.nonFinite;
+        } else if (!raster::TriangleNormal(p, q, r, origin2_).hasArea) {
+            ++extent_.degenerate;
+        } else if (within(p) && within(q) && within(r)) {
+            within_[a] = within_[b] = within_[c] = true;
+        } else {
+            raster::Polygon polygon;
+            for (const glm::dvec3 corner : {p, q, r})
+                polygon.add(corner);
+            polygon = raster::clipDepth(polygon, depths_.near, depths_.far);
+            if (polygon.size < 3) ++extent_.outside;
+            for (std::size_t i = 0; polygon.size >= 3 && i < polygon.size; ++i)
+                extent_.include(polygon.corner[i], depths_.perspective);
+        }
+    }
+
+    raster::MeshChunk chunk_;
+    double origin2_;
+    Depths depths_;
+    std::vector<glm::dvec3> light_;
+    std::vector<unsigned char> within_;
+    Extent extent_;
+};
 
 Extent measureMesh(const MeshView& mesh, const Projection& frame, const Depths& depths) {
-    using Range = tbb::blocked_range<std::size_t>;
+    constexpr std::size_t kChunk = 16384;  // triangles
     const LightFromObject lightFromObject(frame, mesh.worldFromObject);
-    const double origin2 = glm::dot(lightFromObject.origin, lightFromObject.origin);
+    const std::size_t chunks = (mesh.triangleCount + kChunk - 1) / kChunk;
+    using Range = tbb::blocked_range<std::size_t>;
     return tbb::parallel_reduce(
-        Range(0, mesh.triangleCount, 4096), Extent{},
+        Range(0, chunks), Extent{},
         [&](const Range& range, Extent extent) {
             for (std::size_t i = range.begin(); i < range.end(); ++i) {
-                const std::uint32_t* const corner = mesh.indices + 3 * i;
-                const glm::dvec3 p[3] = {lightFromObject(mesh.positions[corner[0]]),
-                                         lightFromObject(mesh.positions[corner[1]]),
-                                         lightFromObject(mesh.positions[corner[2]])};
-                includeTriangle(extent, p, origin2, depths);
+                const std::size_t first = i * kChunk;
+                const std::size_t count = std::min(kChunk, mesh.triangleCount - first);
+                extent.add(
+                    ChunkMeasure(mesh, first, count, lightFromObject, depths).extent());
             }
             return extent;
         },

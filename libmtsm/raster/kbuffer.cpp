@@ -7,7 +7,8 @@ namespace mtsm::raster {
 
 bool KTile::allocate() {
     const std::size_t size = std::size_t(pixels_) * layers_;
-    if (!budget_->reserve(size * sizeof(float))) return false;
+    const std::size_t offsets = std::size_t(pixels_) + 1;  // of the layers in the map
+    if (!budget_->reserve((size + offsets) * sizeof(float))) return false;
     z_.reset(new float[size]);
     std::fill_n(z_.get(), size, kNoSample);
     return true;
@@ -58,20 +59,18 @@ void KTile::shiftCopies(std::uint32_t pixel, std::uint32_t slot) {
 
 std::uint32_t KTile::count(std::uint32_t pixel) const noexcept {
     const float* const zs = z(pixel);
-    return std::uint32_t(std::lower_bound(zs, zs + layers_, kNoSample) - zs);
+    std::uint32_t count = 0;
+    for (std::uint32_t i = 0; i < layers_; ++i)
+        count += zs[i] < kNoSample;
+    return count;
 }
 
-std::uint64_t KTile::dropped() const noexcept {
-    if (empty()) return 0;
-    std::uint64_t kept = 0;
-    for (std::uint32_t p = 0; p < pixels_; ++p)
-        kept += count(p);
-    if (copies_) {
-        const std::size_t size = std::size_t(pixels_) * layers_;
-        for (std::size_t i = 0; i < size; ++i)
-            kept += copies_[i];
-    }
-    return samples_ - kept;
+std::uint64_t KTile::copies() const noexcept {
+    std::uint64_t sum = 0;
+    const std::size_t size = std::size_t(pixels_) * layers_;
+    for (std::size_t i = 0; copies_ && i < size; ++i)
+        sum += copies_[i];
+    return sum;
 }
 
 std::uint64_t KTile::bytes() const noexcept {

@@ -16,6 +16,7 @@
 #include <cstdint>
 #include <limits>
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "raster/memory_budget.h"
@@ -46,8 +47,8 @@ class KTile {
     [[nodiscard]] std::uint32_t pixels() const noexcept { return pixels_; }
     /// All that came, copies included.
     [[nodiscard]] std::uint64_t samples() const noexcept { return samples_; }
-    /// Of those, the ones that were neither kept nor copies of a kept one.
-    [[nodiscard]] std::uint64_t dropped() const noexcept;
+    /// Of those, the ones that were not kept because they are copies of a kept one.
+    [[nodiscard]] std::uint64_t copies() const noexcept;
     /// [layers], nearest first, kNoSample behind the last. Only if not empty().
     [[nodiscard]] const float* z(std::uint32_t pixel) const noexcept {
         return z_.get() + std::size_t(pixel) * layers_;
@@ -58,7 +59,8 @@ class KTile {
     }
     /// Samples kept in a pixel. Only if not empty().
     [[nodiscard]] std::uint32_t count(std::uint32_t pixel) const noexcept;
-    /// Bytes that its planes take.
+    /// Bytes that its planes take, and that were taken from the budget besides 4 for each
+    /// pixel and one more: so its layers, as a map holds them, never need more.
     [[nodiscard]] std::uint64_t bytes() const noexcept;
     /// Drops the planes and the counts.
     void clear() noexcept;
@@ -76,9 +78,9 @@ class KTile {
             ++at;
         if (slot[at] == z) return addCopy(pixel, at);
         if (copies_) shiftCopies(pixel, at);
-        for (std::uint32_t i = last; i > at; --i)
-            slot[i] = slot[i - 1];
-        slot[at] = z;
+        // Moves the ones behind along, up to the first that is no sample.
+        for (float moved = z; moved < kNoSample && at <= last; ++at)
+            std::swap(slot[at], moved);
     }
     void insertTranslucent(std::uint32_t pixel, float z, float opacity);
     void addCopy(std::uint32_t pixel, std::uint32_t slot);

@@ -8,6 +8,7 @@
 #include <glm/geometric.hpp>
 
 #include "raster/light_from_object.h"
+#include "raster/mesh_chunk.h"
 
 namespace mtsm::raster {
 namespace {
@@ -20,44 +21,6 @@ constexpr std::uint32_t kBatchTriangles = kSlices * kSliceTriangles;
 constexpr std::uint32_t kMostBins = 1024;
 
 }  // namespace
-
-/// Consecutive triangles of a mesh and the vertices they use. Where those are spread too
-/// thinly over the mesh, corners are transformed one by one instead.
-struct Rasteriser::Chunk {
-    const MeshView& mesh;
-    std::size_t first;    ///< triangle
-    std::uint32_t count;  ///< triangles
-    LightFromObject lightFromObject;
-    bool mirrored;
-    std::uint32_t lowest = 0;  ///< vertex
-    std::size_t vertices = 0;
-    bool shared = false;  ///< vertices_[i] is vertex lowest + i; else corner i
-
-    Chunk(const Projection& projection, const MeshView& m, std::size_t firstTriangle,
-          std::uint32_t triangles)
-        : mesh(m),
-          first(firstTriangle),
-          count(triangles),
-          lightFromObject(projection, m.worldFromObject),
-          mirrored(mirrors(m.worldFromObject)) {
-        const auto [low, high] =
-            std::minmax_element(indices(), indices() + 3 * std::size_t(count));
-        lowest = *low;
-        const std::size_t range = std::size_t(*high) - *low + 1;
-        shared = range <= 3 * std::size_t(count);
-        vertices = shared ? range : 3 * std::size_t(count);
-    }
-    [[nodiscard]] const std::uint32_t* indices() const {
-        return mesh.indices + 3 * first;
-    }
-    [[nodiscard]] glm::vec3 position(std::size_t i) const {
-        return mesh.positions[shared ? lowest + i : indices()[i]];
-    }
-    /// Where in vertices_ a corner of the chunk's triangles is.
-    [[nodiscard]] std::size_t corner(std::size_t i) const {
-        return shared ? indices()[i] - lowest : i;
-    }
-};
 
 Rasteriser::Rasteriser(const Projection& projection, Facing keep, KBuffer& buffer,
                        std::function<Status(std::uint64_t)> afterBatch)
@@ -81,7 +44,7 @@ Status Rasteriser::add(const MeshView& mesh) {
         const std::size_t left = mesh.triangleCount - first;
         const std::uint32_t room = kBatchTriangles - pending_;
         const auto count = std::uint32_t(std::min<std::size_t>(left, room));
-        prepare(Chunk(projection_, mesh, first, count));
+        prepare(mesh, first, count);
         first += count;
         pending_ += count;
         if (pending_ == kBatchTriangles) {
@@ -95,18 +58,20 @@ Status Rasteriser::finish() {
     return pending_ ? flush() : Status{};
 }
 
-/// Fills the slices from where the chunk before left off.
-void Rasteriser::prepare(const Chunk& chunk) {
+/// Fills the slices from where the triangles before left off.
+void Rasteriser::prepare(const MeshView& mesh, std::size_t first, std::uint32_t count) {
     using Range = tbb::blocked_range<std::size_t>;
-    if (vertices_.size() < chunk.vertices) vertices_.resize(chunk.vertices);
-    tbb::parallel_for(Range(0, chunk.vertices, 1024), [&](const Range& range) {
+    const MeshChunk chunk(mesh, first, count);
+    const LightFromObject lightFromObject(projection_, mesh.worldFromObject);
+    const bool mirrored = mirrors(mesh.worldFromObject);
+    const double origin2 = glm::dot(lightFromObject.origin, lightFromObject.origin);
+    if (vertices_.size() < chunk.vertices()) vertices_.resize(chunk.vertices());
+    tbb::parallel_for(Range(0, chunk.vertices(), 1024), [&](const Range& range) {
         for (std::size_t i = range.begin(); i < range.end(); ++i)
-            vertices_[i] = setup_.vertex(chunk.lightFromObject(chunk.position(i)));
+            vertices_[i] = setup_.vertex(lightFromObject(chunk.position(i)));
     });
-    const double origin2 =
-        glm::dot(chunk.lightFromObject.origin, chunk.lightFromObject.origin);
+    const std::uint32_t end = pending_ + count;
     const std::uint32_t firstSlice = pending_ / kSliceTriangles;
-    const std::uint32_t end = pending_ + chunk.count;
     const std::uint32_t endSlice = (end + kSliceTriangles - 1) / kSliceTriangles;
     tbb::parallel_for(firstSlice, endSlice, [&](std::uint32_t s) {
         Slice& slice = slices_[s];
@@ -116,8 +81,8 @@ void Rasteriser::prepare(const Chunk& chunk) {
             const std::size_t corner = 3 * std::size_t(i - pending_);
             setup_.triangle(vertices_[chunk.corner(corner)],
                             vertices_[chunk.corner(corner + 1)],
-                            vertices_[chunk.corner(corner + 2)], chunk.mirrored, origin2,
-                            chunk.mesh.opacity, slice.counts, slice.triangles);
+                            vertices_[chunk.corner(corner + 2)], mirrored, origin2,
+                            mesh.opacity, slice.counts, slice.triangles);
         }
         slice.taken += to - from;
     });

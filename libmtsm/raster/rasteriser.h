@@ -46,9 +46,8 @@ class Rasteriser {
         std::vector<std::uint32_t> order;  ///< indices of triangles, bin by bin
         TriangleCounts counts;
     };
-    struct Chunk;
 
-    void prepare(const Chunk& chunk);
+    void prepare(const MeshView& mesh, std::size_t first, std::uint32_t count);
     void sortIntoBins(Slice& slice) const;
     void drawBin(std::uint32_t bin) const;
     template <ProjectionKind kind>

@@ -18,6 +18,9 @@
 // [-2^14, 2^15 + 2^14] pixels, |x| < 2^30 grid steps (int32); differences are at most
 // 2^30 (int32), their products 2^60, an edge function 2^61 (int64).
 //
+// The cut itself is done in double: corners within 1e12 times their depth of the axis
+// come out exactly enough.
+//
 // Depth is that of the triangle's plane (the whole one's, also where it was cut) on the
 // centre ray, in double, kept within the depths of the triangle's corners, and float from
 // there on.

@@ -33,19 +33,24 @@ struct BakeOptions {
     /// What the light looks at. Neither target nor aimed: the centre of the casters'
     /// bounds.
     std::optional<glm::dvec3> target;
-    bool aimed = false;  ///< use light.direction as it stands (always so for sun)
+    /// Use light.direction as it stands, whatever the target (always so for sun).
+    bool aimed = false;
     glm::dvec3 up{0.0, 1.0,
                   0.0};  ///< what is up in the map; any vector across the view will do
-    /// Full field of view of a square, centred window. Without: the window that fits the
-    /// casters.
+    /// Full field of view, in (0, pi), of a centred window with square pixels, across its
+    /// larger side; not for sun. Without: the window that fits the casters (pixels up to
+    /// 4 : 1), which is refused where it would reach further than 85 degrees off the
+    /// axis.
     std::optional<double> fov;
     /// Distance along the axis from the light's plane (sun: from the nearest caster's
-    /// depth).
+    /// depth), 0 <= near < far. Without near: the light's plane, a sphere's far side, and
+    /// for a light of no size 1e-6 of the distance to the casters' far end.
     std::optional<double> near, far;
     std::uint32_t width = 1024, height = 1024;  ///< 1..kMaxResolution
     std::uint32_t layers = 5;                   ///< nearest samples kept per pixel, 1..64
-    std::optional<float> bias;  ///< z threshold stored in the map; without: see bake.cpp
-    Cull cull = Cull::none;     ///< faces turned away from (back) or to (front) the eye
+    std::optional<float>
+        bias;  ///< z threshold, >= 0; without: a pixel's footprint at the deepest layer
+    Cull cull = Cull::none;  ///< faces turned away from (back) or to (front) the eye
     std::uint64_t maxBytes = std::uint64_t(8)
                              << 30;  ///< for the depth buffer and the map
     std::string settings;            ///< stored in the map as MapInfo::settings
