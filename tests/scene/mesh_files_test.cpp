@@ -1,9 +1,11 @@
 // MeshFiles: every format, every node, every name; once read, always the same.
+#include <atomic>
 #include <catch2/catch.hpp>
 #include <cmath>
 #include <cstdint>
 #include <filesystem>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "scene_fixture.h"
@@ -361,6 +363,25 @@ TEST_CASE("reading can be cancelled before each file", "[scene]") {
     CHECK(seen.status.error().code == ErrorCode::cancelled);
     CHECK(seen.meshes.size() == 1);
     CHECK(asked == std::vector<std::string>{a, b});
+}
+
+TEST_CASE("several threads may read files at once", "[scene]") {
+    if (test::kSanitized) {
+        WARN("the sanitizers' allocators do not survive such a fork: skipped");
+        return;
+    }
+    const test::TempFolder folder;
+    const std::string path = folder.write("a.gltf", scene());
+    std::atomic<int> good = 0;
+    std::vector<std::thread> threads;
+    for (int t = 0; t < 4; ++t)
+        threads.emplace_back([&] {
+            for (int i = 0; i < 10; ++i)
+                good += seeFile(path).meshes.size() == 3;
+        });
+    for (std::thread& thread : threads)
+        thread.join();
+    CHECK(good == 40);
 }
 
 TEST_CASE("meshes in memory are visited in their order until the visitor stops",
