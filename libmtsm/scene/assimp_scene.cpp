@@ -2,7 +2,6 @@
 
 #include <assimp/config.h>
 #include <assimp/importerdesc.h>
-#include <assimp/postprocess.h>
 
 #include <assimp/DefaultLogger.hpp>
 #include <cstring>
@@ -28,14 +27,20 @@ class ImportLog final : public Assimp::Logger {
     void OnDebug(const char*) override {}
     void OnVerboseDebug(const char*) override {}
     void OnInfo(const char*) override {}
-    void OnWarn(const char* message) override {
-        // The glTF importer leaves such faces out and says no more than this.
-        if (std::strstr(message, "out-of-range indices")) facesDropped = true;
-    }
+    void OnWarn(const char* message) override { noticeRange(message); }
     void OnError(const char* message) override {
         // Said of every OBJ file that chooses a material before it names an object.
         if (std::strstr(message, "No object detected to attach")) return;
+        noticeRange(message);
         if (errors++ == 0) firstError = message;
+    }
+
+  private:
+    /// The glTF and OFF importers leave such faces out and say no more than this.
+    void noticeRange(const char* message) {
+        if (std::strstr(message, "out-of-range indices") ||
+            std::strstr(message, "index is out of range"))
+            facesDropped = true;
     }
 };
 
@@ -79,11 +84,6 @@ SourceFormat AssimpScene::format() const {
     if (name.find("Collada") != name.npos) return SourceFormat::collada;
     if (name.find("glTF") != name.npos) return SourceFormat::gltf;
     return SourceFormat::other;
-}
-
-bool AssimpScene::triangulate() {
-    scene_ = importer_.ApplyPostProcessing(aiProcess_Triangulate);
-    return scene_ != nullptr;
 }
 
 glm::dmat4 toDouble(const aiMatrix4x4& m) {

@@ -17,15 +17,13 @@ enum class SourceFormat { collada, gltf, other };
 /// A scene as Assimp reads it, without any post-processing.
 class AssimpScene {
   public:
-    /// Reads `path`. If that fails, or if the importer says that it left out faces whose
-    /// indices are out of range, sends the failure to `out`, and scene() is null. What
-    /// else the importer logs as an error is sent as one warning.
+    /// Reads `path`. If that fails, or if the importer says that it met indices that are
+    /// out of range (it leaves such faces out), sends the failure to `out`, and scene()
+    /// is null. What else the importer logs as an error is sent as one warning.
     AssimpScene(const std::string& path, FrameWriter& out);
 
     [[nodiscard]] const aiScene* scene() const { return scene_; }
     [[nodiscard]] SourceFormat format() const;
-    /// Cuts polygons into triangles; fails only when Assimp gives up on the scene.
-    [[nodiscard]] bool triangulate();
 
   private:
     Assimp::Importer importer_;

@@ -252,8 +252,9 @@ class Scanner {
         return false;
     }
     bool outOfRange(const Element& element, std::uint64_t index, double value) {
-        fail(base::concat(element.name, " ", index, " refers to vertex ", value, " of ",
-                          vertices_, "; re-export or repair the file"));
+        fail(base::concat(element.name, " ", index, " refers to vertex ",
+                          std::int64_t(value), " of ", vertices_,
+                          "; re-export or repair the file"));
         return false;
     }
     PlyScan fail(std::string problem) {

@@ -11,6 +11,7 @@
 #include "scene/material_opacity.h"
 #include "scene/name_filter.h"
 #include "scene/ply.h"
+#include "scene/polygon.h"
 #include "scene/send.h"
 
 namespace mtsm::scene {
@@ -36,7 +37,6 @@ std::string joined(const std::vector<std::string>& parts) {
 struct Census {
     std::uint64_t points = 0, lines = 0, triangles = 0;
     std::uint64_t bones = 0, morphTargets = 0, animations = 0;
-    bool polygons = false;
 
     [[nodiscard]] std::string ignored() const {
         std::vector<std::string> parts;
@@ -52,7 +52,7 @@ struct Census {
     }
 };
 
-/// Triangles count as many as their polygon will give.
+/// A polygon counts as the triangles that it will give.
 Census censusOf(const aiScene& scene) {
     Census census;
     census.animations = scene.mNumAnimations;
@@ -66,7 +66,6 @@ Census censusOf(const aiScene& scene) {
             census.points += corners == 1;
             census.lines += corners == 2;
             census.triangles += corners > 2 ? corners - 2 : 0;
-            census.polygons = census.polygons || corners > 3;
         }
     }
     return census;
@@ -170,23 +169,15 @@ class OddMaterials {
     std::set<std::string> names_;
 };
 
-std::vector<std::uint32_t> triangleIndices(const aiMesh& mesh) {
+std::vector<std::uint32_t> triangleIndices(const aiMesh& mesh, PolygonCutter& cutter) {
     std::vector<std::uint32_t> indices;
     indices.reserve(std::size_t(3) * mesh.mNumFaces);
     for (unsigned f = 0; f < mesh.mNumFaces; ++f) {
         const aiFace& face = mesh.mFaces[f];
-        if (face.mNumIndices == 3)
-            indices.insert(indices.end(), face.mIndices, face.mIndices + 3);
+        if (face.mNumIndices >= 3)
+            cutter.cut({face.mIndices, face.mNumIndices}, mesh.mVertices, indices);
     }
     return indices;
-}
-
-std::uint64_t triangleCount(const aiScene& scene) {
-    std::uint64_t triangles = 0;
-    for (unsigned m = 0; m < scene.mNumMeshes; ++m)
-        for (unsigned f = 0; f < scene.mMeshes[m]->mNumFaces; ++f)
-            triangles += scene.mMeshes[m]->mFaces[f].mNumIndices == 3;
-    return triangles;
 }
 
 void sendPlaced(const std::string& path, const aiScene& scene, const Placement& placement,
@@ -194,10 +185,12 @@ void sendPlaced(const std::string& path, const aiScene& scene, const Placement& 
                 FrameWriter& out) {
     static_assert(sizeof(aiVector3D) == 3 * sizeof(float));
     OddMaterials alphaTexture, takenForOpaque;
+    PolygonCutter cutter;
     for (unsigned m = 0; m < scene.mNumMeshes; ++m) {
         const aiMesh& mesh = *scene.mMeshes[m];
-        const auto indices = triangleIndices(mesh);
-        if (placement.places()[m].empty() || indices.empty()) continue;
+        if (placement.places()[m].empty()) continue;
+        const auto indices = triangleIndices(mesh, cutter);
+        if (indices.empty()) continue;
         const aiMaterial& material = *scene.mMaterials[mesh.mMaterialIndex];
         MaterialOpacity opacity{override.value_or(1.0f)};
         if (!override) opacity = materialOpacity(material, format);
@@ -268,11 +261,6 @@ void sendMeshes(const std::string& path, const MeshFileOptions& options,
     const Census census = censusOf(*file.scene());
     if (census.triangles == 0)
         return failWithoutTriangles(path, census.points, census.lines, out);
-    if (census.polygons && !file.triangulate())
-        return out.failure(ErrorCode::badFile,
-                           base::concat(path, ": its polygons cannot be triangulated"));
-    const std::uint64_t triangles = triangleCount(*file.scene());
-
     const Placement placement(*file.scene(), filter);
     sendPlaced(path, *file.scene(), placement, file.format(), options.opacity, out);
     if (!placement.anyPassed())
@@ -280,10 +268,6 @@ void sendMeshes(const std::string& path, const MeshFileOptions& options,
             out.name(name);
     if (const std::string ignored = census.ignored(); !ignored.empty())
         out.warning(base::concat(path, ": ignored ", ignored));
-    if (triangles < census.triangles)
-        out.warning(
-            base::concat(path, ": polygons with crossing edges lost ",
-                         count(census.triangles - triangles, "triangle", "triangles")));
     out.end();
 }
 
