@@ -9,6 +9,7 @@
 #include <limits>
 
 #include "format/file_surgery.h"
+#include "format/refused.h"
 #include "format/temp_folder.h"
 #include "map_fixture.h"
 #include "mtsm/reader.h"
