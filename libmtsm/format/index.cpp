@@ -207,7 +207,8 @@ Status checkDirectory(const Index& index, const Prefix& prefix, std::uint64_t in
         return std::count_if(index.blocks.begin(), index.blocks.end(),
                              [&](const auto& e) { return e.type == type; });
     };
-    std::uint64_t texts = 0, before = 0;
+    std::uint64_t texts = 0;   // bytes of the blocks whose length only the file decides
+    std::uint64_t before = 0;  // where the last block was
     for (const DirectoryEntry& e : index.blocks) {
         const auto at = base::concat("block ", text(e.type), ": ");
         if (e.offset <= before) return bad(at, "is not listed in the order of the file");
@@ -226,7 +227,7 @@ Status checkDirectory(const Index& index, const Prefix& prefix, std::uint64_t in
         }
         if ((e.flags == kCritical) != (e.type != kAttr))
             return bad(at, "flags ", e.flags, " are not those of its type");
-        if (e.type == kHead || e.type == kAttr) texts += e.length;
+        if (e.type != kHier) texts += e.length;
     }
     for (BlockType type : {kHead, kHier, kTotl}) {
         if (named(type) != 1)
@@ -236,9 +237,9 @@ Status checkDirectory(const Index& index, const Prefix& prefix, std::uint64_t in
     if (index.blocks.front().type != kHead ||
         index.blocks.front().offset != sizeof(Prefix))
         return bad("block HEAD is not the first");
-    if (texts > headFixedBytes(prefix.faces) &&
-        texts - headFixedBytes(prefix.faces) > limits.maxAttributeBytes)
-        return makeError(ErrorCode::tooLarge, "attributes and texts take ", texts,
+    const std::uint64_t fixed = headFixedBytes(prefix.faces) + sizeof(Totals);
+    if (texts > fixed && texts - fixed > limits.maxAttributeBytes)
+        return makeError(ErrorCode::tooLarge, "attributes and texts take ", texts - fixed,
                          " bytes, more than the ", limits.maxAttributeBytes,
                          " that ReadLimits::maxAttributeBytes allows");
     const TileGrid grid(prefix);

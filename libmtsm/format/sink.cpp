@@ -54,7 +54,7 @@ Status FileSink::open() {
         fd_ = ::open(path_.c_str(), O_WRONLY | O_CLOEXEC);
         return fd_ < 0 ? Status(failed("cannot open for writing", errno)) : Status();
     }
-    return openTemporary(exists, info.st_mode & 07777);
+    return openTemporary(exists, info.st_mode & 0777);
 }
 
 Status FileSink::openTemporary(bool exists, mode_t mode) {
@@ -78,9 +78,16 @@ Status FileSink::openTemporary(bool exists, mode_t mode) {
             return failed("cannot make a temporary file in its folder", errno);
     }
     if (fd_ < 0) return failed("cannot make a temporary file in its folder", EEXIST);
-    if (exists && ::fchmod(fd_, mode) != 0)
-        return failed("cannot keep its permissions", errno);
-    return {};
+    return exists ? setMode(mode) : Status();
+}
+
+/// Only where they differ: some file systems let nobody set them.
+Status FileSink::setMode(mode_t mode) const {
+    struct stat info = {};
+    if (::fstat(fd_, &info) != 0) return failed("cannot see its permissions", errno);
+    if ((info.st_mode & 0777) == mode) return {};
+    return ::fchmod(fd_, mode) == 0 ? Status()
+                                    : failed("cannot keep its permissions", errno);
 }
 
 Status FileSink::write(std::span<const std::uint8_t> bytes) {

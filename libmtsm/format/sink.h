@@ -51,6 +51,7 @@ class FileSink final : public Sink {
 
   private:
     Status openTemporary(bool exists, mode_t mode);
+    Status setMode(mode_t mode) const;
     Status syncFolder() const;
     [[nodiscard]] Error failed(const char* what, int reason) const;
 

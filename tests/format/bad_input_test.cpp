@@ -9,6 +9,7 @@
 #include <limits>
 
 #include "format/file_surgery.h"
+#include "format/refused.h"
 #include "format/temp_folder.h"
 #include "map_fixture.h"
 #include "mtsm/reader.h"
@@ -693,6 +694,56 @@ TEST_CASE("layers that no map may have are refused with the file's name",
     }
 }
 
+TEST_CASE("random changes behind right checksums give an error or a map, never a crash",
+          "[format][bad-input]") {
+    std::mt19937_64 random(5);
+    const auto below = [&](std::uint64_t n) { return random() % n; };
+    const auto change = [&](Bytes& bytes) {
+        if (bytes.empty()) return;
+        const std::size_t at = below(bytes.size());
+        switch (below(4)) {
+            case 0:
+                bytes[at] ^= std::uint8_t(1u << below(8));
+                break;
+            case 1:
+                bytes[at] = std::uint8_t(random());
+                break;
+            case 2:  // a number at its end
+                for (std::size_t i = at & ~7u, n = 1u << below(4);
+                     n-- && i < bytes.size();)
+                    bytes[i++] = 0xff;
+                break;
+            default:
+                bytes.resize(below(2) ? at : bytes.size() + at % 40);
+        }
+    };
+    ReadLimits limits;
+    limits.maxBytes = 16 << 20;
+    const Bytes files[] = {plainFile(), plainFile(Codec::none),
+                           encoded(smallMap(6, 3, false)), encoded(smallMap(1, 1, true))};
+    int read = 0, refused = 0;
+    for (int i = 0; i < 4000; ++i) {
+        Surgery s(files[i % 4]);
+        for (std::uint64_t n = 1 + below(3); n > 0; --n) {
+            if (below(8) == 0) {
+                s.onIndex = [&](Index& index) {
+                    Bytes b(sizeof(TileEntry));
+                    TileEntry& e = index.tiles[below(index.tiles.size())];
+                    std::memcpy(b.data(), &e, b.size());
+                    change(b);
+                    b.resize(sizeof e);
+                    std::memcpy(&e, b.data(), b.size());
+                };
+            } else {
+                change(s.parts[below(s.parts.size())].payload);
+            }
+        }
+        (readBytes(s.close(), limits) ? read : refused) += 1;
+    }
+    CHECK(refused > 1000);
+    CHECK(read > 10);  // some changes, of a text for example, are only other content
+}
+
 // --- limits and files
 // ----------------------------------------------------------------------
 
@@ -717,6 +768,12 @@ TEST_CASE("limits are exact, name themselves and cost nothing", "[format][bad-in
         checkRefused(file, ErrorCode::tooLarge, "ReadLimits::maxAttributeBytes", limits);
         limits.maxAttributeBytes = 300;
         CHECK(readBytes(file, limits));
+        Surgery s(file);  // a later version may make TOTL longer, but not without limit
+        s.prefix.versionMinor = 1;
+        s.payload(kTotl).resize(1000);
+        CHECK(readBytes(s.close()));
+        checkRefused(s.close(), ErrorCode::tooLarge, "ReadLimits::maxAttributeBytes",
+                     limits);
     }
     // 6 x 2^30 pixels by the prefix: refused before the index is even looked for.
     Bytes file = plainFile();

@@ -2,9 +2,9 @@
 // checksum right, so that a test can ask what the checks behind the checksums find.
 #pragma once
 #include <bit>
-#include <catch2/catch.hpp>
 #include <cstring>
 #include <functional>
+#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -13,7 +13,6 @@
 #include "base/checksum.h"
 #include "format/index.h"
 #include "format/layout.h"
-#include "mtsm/reader.h"
 
 namespace mtsm::test {
 
@@ -27,7 +26,7 @@ Record peek(BytesView bytes, std::size_t offset) {
 
 template <typename Record>
 void poke(Bytes& bytes, std::size_t offset, const Record& record) {
-    REQUIRE(offset + sizeof record <= bytes.size());
+    if (offset + sizeof record > bytes.size()) throw std::out_of_range("poke");
     std::memcpy(bytes.data() + offset, &record, sizeof record);
 }
 
@@ -136,24 +135,5 @@ struct Surgery {
         out.zeros(format::blockSpan(h.length) - sizeof h - h.length);
     }
 };
-
-/// What readMap says of these bytes; from a buffer of exactly their size, so that ASan
-/// sees every read past the end.
-inline Result<ShadowMap> readBytes(const Bytes& bytes, const ReadLimits& limits = {}) {
-    const auto exact = std::make_unique<std::uint8_t[]>(bytes.size());
-    if (!bytes.empty()) std::memcpy(exact.get(), bytes.data(), bytes.size());
-    return readMap(exact.get(), bytes.size(), "t.mtsm", limits);
-}
-
-/// The bytes are refused with this code, and the message names the file and has `words`.
-inline void checkRefused(const Bytes& bytes, ErrorCode code, const std::string& words,
-                         const ReadLimits& limits = {}) {
-    const auto map = readBytes(bytes, limits);
-    INFO("expected: " << words);
-    REQUIRE_FALSE(map);
-    CHECK(map.error().code == code);
-    CHECK_THAT(map.error().message, Catch::StartsWith("t.mtsm: "));
-    CHECK_THAT(map.error().message, Catch::Contains(words));
-}
 
 }  // namespace mtsm::test

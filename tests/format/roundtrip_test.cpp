@@ -3,7 +3,7 @@
 #include <catch2/catch.hpp>
 #include <limits>
 
-#include "format/file_surgery.h"
+#include "format/refused.h"
 #include "map_fixture.h"
 #include "mtsm/reader.h"
 #include "mtsm/writer.h"

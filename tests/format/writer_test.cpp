@@ -13,7 +13,7 @@
 #include <iterator>
 #include <thread>
 
-#include "format/file_surgery.h"
+#include "format/refused.h"
 #include "format/temp_folder.h"
 #include "map_fixture.h"
 #include "mtsm/writer.h"

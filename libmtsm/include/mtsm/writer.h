@@ -5,8 +5,12 @@
 //
 // The file appears under its name complete or not at all: bytes go to a temporary file in
 // the same folder, are synced to the disk and renamed over the target; on any failure the
-// temporary is removed and what was there stays. The bytes depend on the map and the
-// options alone, never on the number of threads.
+// temporary is removed and what was there stays. A symbolic link stays and what it points
+// to is replaced; a file that is replaced passes its permissions on. What exists and is
+// no regular file (a pipe, /dev/stdout) is written to as it is.
+//
+// The bytes depend on the map and the options alone, never on the number of threads.
+// Tiles are encoded in the caller's oneTBB arena.
 #pragma once
 #include <cstdint>
 #include <functional>
@@ -28,7 +32,9 @@ struct WriteOptions {
     std::function<bool(double)> progress;
 };
 
-/// Errors: io (names the path and the system's reason), badArgument, cancelled.
+/// Errors: io (names the path and the system's reason), badArgument (an option out of its
+/// range; a text, an attribute's name or its text that is not UTF-8), cancelled, tooLarge
+/// (out of memory).
 Status writeMap(const ShadowMap& map, const std::string& path,
                 const WriteOptions& options = {});
 

@@ -1,0 +1,330 @@
+// Old files decode as before, for ever; and two readers that share nothing but the
+// specification give the same numbers.
+#include <sys/wait.h>
+
+#include <bit>
+#include <catch2/catch.hpp>
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <nlohmann/json.hpp>
+#include <set>
+#include <sstream>
+#include <tuple>
+
+#include "format/bad_files.h"
+#include "format/refused.h"
+#include "format/temp_folder.h"
+#include "golden/golden_maps.h"
+
+using namespace mtsm;
+using namespace mtsm::test;
+using nlohmann::json;
+namespace fs = std::filesystem;
+
+namespace {
+
+const std::string kSource = MTSM_SOURCE_DIR;
+
+std::string goldenPath(const std::string& name) {
+    return kSource + "/tests/golden/" + name + ".mtsm";
+}
+
+std::string textOf(const std::string& path) {
+    std::ifstream in(path, std::ios::binary);
+    REQUIRE(in);
+    return {std::istreambuf_iterator<char>(in), {}};
+}
+
+Bytes bytesOf(const std::string& path) {
+    const std::string text = textOf(path);
+    return {text.begin(), text.end()};
+}
+
+struct Run {
+    int exitCode = -1;
+    std::string out, err;
+};
+
+/// Runs the second reader on a file.
+Run readerPy(const std::string& file, const std::string& options = "") {
+    const TempFolder folder;
+    const auto quoted = [](const std::string& s) { return "'" + s + "'"; };
+    const std::string command = quoted(MTSM_PYTHON) + " -B " +
+                                quoted(kSource + "/format-spec/reader.py") + " " +
+                                options + " " + quoted(file) + " >" +
+                                quoted(folder / "out") + " 2>" + quoted(folder / "err");
+    const int status = std::system(command.c_str());
+    Run run;
+    run.exitCode = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+    run.out = textOf(folder / "out");
+    run.err = textOf(folder / "err");
+    return run;
+}
+
+// --- a map against the other reader's JSON, bit by bit
+// -------------------------------------
+
+bool same(const json& j, double x) {
+    if (std::isfinite(x))
+        return j.is_number() && std::bit_cast<std::uint64_t>(j.get<double>()) ==
+                                    std::bit_cast<std::uint64_t>(x);
+    if (!std::isnan(x)) return j == (x > 0 ? "inf" : "-inf");
+    char text[32];
+    std::snprintf(text, sizeof text, "nan:%016llx",
+                  static_cast<unsigned long long>(std::bit_cast<std::uint64_t>(x)));
+    return j == text;
+}
+
+bool same(const json& j, float x) {
+    return same(j, double(x));
+}
+bool same(const json& j, glm::dvec2 p) {
+    return j.size() == 2 && same(j[0], p.x) && same(j[1], p.y);
+}
+bool same(const json& j, glm::dvec3 p) {
+    return j.size() == 3 && same(j[0], p.x) && same(j[1], p.y) && same(j[2], p.z);
+}
+
+void checkInfo(const json& j, const MapInfo& info) {
+    CHECK(j["version"] == json({1, 0}));
+    CHECK(j["width"] == info.width);
+    CHECK(j["height"] == info.height);
+    CHECK(j["tileSize"] == info.tileSize);
+    CHECK(j["channels"] == info.channels);
+    CHECK(j["depthMeaning"] == 0);
+    CHECK(j["visibilityRule"] == 0);
+    const json& light = j["light"];
+    CHECK(light["shape"] == unsigned(info.light.shape));
+    CHECK(same(light["position"], info.light.position));
+    CHECK(same(light["direction"], info.light.direction));
+    CHECK(same(light["up"], info.light.up));
+    CHECK(same(light["radius"], info.light.radius));
+    CHECK(same(light["size"], info.light.size));
+    CHECK(same(light["angularDiameter"], info.light.angularDiameter));
+    CHECK(same(j["bias"], info.bias));
+    CHECK(j["maxLayers"] == info.maxLayers);
+    CHECK(j["resets"] == info.resets);
+    CHECK(same(j["toleranceAsked"], info.toleranceAsked));
+    CHECK(same(j["toleranceReached"], info.toleranceReached));
+    CHECK(same(j["metresPerUnit"], info.metresPerUnit));
+    CHECK(j["castersClipped"] == info.castersClipped);
+    CHECK(j["samples"] == info.samples);
+    CHECK(j["samplesDropped"] == info.samplesDropped);
+    CHECK(j["software"] == info.software);
+    CHECK(j["settings"] == info.settings);
+}
+
+void checkAttributes(const json& j, const std::vector<Attribute>& attributes) {
+    REQUIRE(j.size() == attributes.size());
+    for (std::size_t i = 0; i < attributes.size(); ++i) {
+        const Attribute& a = attributes[i];
+        const json& value = j[i]["value"];
+        INFO("attribute " << a.name);
+        CHECK(j[i]["name"] == a.name);
+        if (const auto* text = std::get_if<std::string>(&a.value)) {
+            CHECK(j[i]["type"] == "text");
+            CHECK(value == *text);
+        } else if (const auto* integer = std::get_if<std::int64_t>(&a.value)) {
+            CHECK(j[i]["type"] == "integer");
+            CHECK(value == *integer);
+        } else {
+            const auto& doubles = std::get<std::vector<double>>(a.value);
+            CHECK(j[i]["type"] == "doubles");
+            REQUIRE(value.size() == doubles.size());
+            for (std::size_t k = 0; k < doubles.size(); ++k)
+                CHECK(same(value[k], doubles[k]));
+        }
+    }
+}
+
+void checkProjection(const json& j, const Projection& p) {
+    CHECK(j["kind"] == unsigned(p.kind));
+    CHECK(same(j["eye"], p.eye));
+    CHECK(same(j["right"], p.right));
+    CHECK(same(j["up"], p.up));
+    CHECK(same(j["forward"], p.forward));
+    CHECK(same(j["scale"], p.scale));
+    CHECK(same(j["offset"], p.offset));
+    CHECK(same(j["near"], p.near));
+    CHECK(same(j["far"], p.far));
+}
+
+bool samePixel(const json& j, const PixelLayers& layers, std::uint32_t channels) {
+    if (j.size() != layers.count) return false;
+    for (std::uint32_t i = 0; i < layers.count; ++i) {
+        const json& layer = j[i];
+        if (!same(layer[0], layers.z[i]) || layer[1].size() != channels) return false;
+        for (std::uint32_t c = 0; c < channels; ++c) {
+            const float v = layers.v ? layers.v[c * layers.vStride + i] : 0.0f;
+            if (!same(layer[1][c], v)) return false;
+        }
+        if (layer[2] != (layers.n ? layers.n[i] : 1)) return false;
+    }
+    return true;
+}
+
+void checkMap(const json& j, const ShadowMap& map) {
+    checkInfo(j, map.info());
+    checkAttributes(j["attributes"], map.info().attributes);
+    CHECK(j["layers"] == map.layerCount());
+    ZRange z;
+    REQUIRE(j["projections"].size() == map.faceCount());
+    REQUIRE(j["pixels"].size() == map.faceCount());
+    std::uint64_t different = 0;
+    for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
+        checkProjection(j["projections"][face], map.projection(face));
+        z.include(map.zRange(face));
+        REQUIRE(j["pixels"][face].size() == map.info().height);
+        for (std::uint32_t y = 0; y < map.info().height; ++y) {
+            REQUIRE(j["pixels"][face][y].size() == map.info().width);
+            for (std::uint32_t x = 0; x < map.info().width; ++x) {
+                if (!samePixel(j["pixels"][face][y][x], map.pixel(face, x, y),
+                               map.info().channels))
+                    ++different;
+            }
+        }
+    }
+    CHECK(different == 0);
+    CHECK(same(j["zMin"], z.min));
+    CHECK(same(j["zMax"], z.max));
+}
+
+/// The bytes of the worked example: lines "0040  48 45 41 44 ...  what it is" between the
+/// two marks in the specification.
+Bytes hexExample(const std::string& spec) {
+    const auto begin = spec.find("<!-- hex: one_pixel.mtsm -->");
+    const auto end = spec.find("<!-- end of hex -->");
+    REQUIRE(begin != std::string::npos);
+    REQUIRE(end != std::string::npos);
+    std::istringstream lines(spec.substr(begin, end - begin));
+    Bytes bytes;
+    for (std::string line; std::getline(lines, line);) {
+        if (line.size() < 6 || line.compare(4, 2, "  ") != 0) continue;
+        INFO(line);
+        REQUIRE(std::stoul(line.substr(0, 4), nullptr, 16) == bytes.size());
+        const std::string digits = line.substr(6, line.find("  ", 6) - 6);
+        std::istringstream words(digits);
+        for (std::string word; words >> word;)
+            bytes.push_back(static_cast<std::uint8_t>(std::stoul(word, nullptr, 16)));
+    }
+    return bytes;
+}
+
+}  // namespace
+
+TEST_CASE("every golden file still decodes to the map it was made from",
+          "[format][golden]") {
+    std::size_t files = 0;
+    for (const Golden& golden : goldenMaps()) {
+        INFO(golden.name);
+        const auto map = readMap(goldenPath(golden.name));
+        INFO((map ? "" : map.error().message));
+        REQUIRE(map);
+        CHECK(identical(*map, golden.map));
+        ++files;
+    }
+    for (const auto& entry : fs::directory_iterator(kSource + "/tests/golden")) {
+        if (entry.path().extension() == ".mtsm") --files;
+    }
+    CHECK(files == 0);  // none without its map
+}
+
+TEST_CASE("both readers agree on every golden file, number by number",
+          "[format][golden]") {
+    for (const Golden& golden : goldenMaps()) {
+        INFO(golden.name);
+        const Run run = readerPy(goldenPath(golden.name));
+        INFO(run.err);
+        REQUIRE(run.exitCode == 0);
+        const auto map = readMap(goldenPath(golden.name));
+        REQUIRE(map);
+        checkMap(json::parse(run.out), *map);
+    }
+}
+
+TEST_CASE("both readers refuse every file in tests/bad with the same exit code",
+          "[format][bad-input]") {
+    std::size_t files = 0;
+    for (const auto& entry : fs::directory_iterator(kSource + "/tests/bad")) {
+        const std::string path = entry.path().string();
+        const std::string name = entry.path().filename().string();
+        if (entry.path().extension() != ".mtsm") continue;
+        INFO(name);
+        const int expected = name.rfind("unsupported_", 0) == 0 ? 5 : 4;
+        const auto map = readMap(path);
+        REQUIRE_FALSE(map);
+        CHECK(exitCode(map.error().code) == expected);
+        const Run run = readerPy(path);
+        CHECK(run.exitCode == expected);
+        CHECK(run.out.empty());
+        CHECK_THAT(run.err, Catch::StartsWith(path + ": "));
+        CHECK_THAT(run.err, !Catch::Contains("Traceback"));
+        ++files;
+    }
+    CHECK(files >= badFiles().size());
+}
+
+TEST_CASE("the golden files hold a plane of every kind, encoding, filter and size",
+          "[format][golden]") {
+    using format::PlaneRecord;
+    using format::TileRecord;
+    std::set<std::tuple<int, int, int, int>>
+        seen;  // kind, encoding, filter, element size
+    for (const Golden& golden : goldenMaps()) {
+        const Surgery s(bytesOf(goldenPath(golden.name)));
+        for (const auto& part : s.parts) {
+            if (part.type != format::kTile) continue;
+            const auto count = peek<TileRecord>(part.payload, 0).planeCount;
+            for (std::uint32_t i = 0; i < count; ++i) {
+                const auto r = peek<PlaneRecord>(part.payload, Surgery::planeAt(int(i)));
+                seen.insert({r.kind, r.encoding, r.filter, r.elementSize});
+            }
+        }
+    }
+    const std::set<std::tuple<int, int, int, int>> wanted = {
+        {0, 0, 0, 1}, {0, 0, 0, 2}, {0, 1, 0, 1}, {0, 2, 0, 1},                // counts
+        {1, 0, 0, 4}, {1, 1, 0, 4}, {1, 2, 2, 4},                              // z
+        {2, 0, 0, 4}, {2, 1, 0, 4}, {2, 2, 0, 4}, {2, 2, 1, 4}, {2, 2, 2, 4},  // v
+        {3, 0, 0, 1}, {3, 2, 0, 1}, {3, 2, 1, 2}, {3, 2, 1, 4}};               // n
+    for (const auto& [kind, encoding, filter, size] : wanted) {
+        INFO("kind " << kind << ", encoding " << encoding << ", filter " << filter
+                     << ", size " << size);
+        CHECK(seen.count({kind, encoding, filter, size}) == 1);
+    }
+}
+
+TEST_CASE("the worked example of the specification is what the writer writes",
+          "[format][golden]") {
+    const Bytes example = hexExample(textOf(kSource + "/format-spec/mtsm-format.md"));
+    CHECK(example == bytesOf(goldenPath("one_pixel")));
+    CHECK(example == *encodeMap(onePixel().map));
+}
+
+TEST_CASE("the second reader refuses a file that is cut or changed anywhere",
+          "[format][bad-input]") {
+    const Run run = readerPy(goldenPath("one_pixel"), "--self-test");
+    INFO(run.err);
+    CHECK(run.exitCode == 0);
+}
+
+TEST_CASE("the second reader's checksum needs no module", "[format][bad-input]") {
+    // Its own XXH3 on one length per code path, against the library's.
+    std::ostringstream code;
+    code << "import sys; sys.path.insert(0, '" << kSource << "/format-spec'); "
+         << "import reader; data = bytes(i * 7 % 251 for i in range(3000)); "
+         << "assert all(reader.xxh3_64(data[:n]) == h for n, h in [";
+    Bytes data(3000);
+    for (std::size_t i = 0; i < data.size(); ++i)
+        data[i] = static_cast<std::uint8_t>(i * 7 % 251);
+    for (std::size_t n :
+         {0u,  1u,  2u,  3u,   4u,   8u,   9u,   16u,   17u,   32u,   33u,   64u,
+          65u, 96u, 97u, 128u, 129u, 240u, 241u, 1024u, 1025u, 1088u, 2048u, 2999u})
+        code << "(" << n << ", " << base::checksum(BytesView(data).first(n)) << "), ";
+    code << "])";
+    const std::string command =
+        "'" + std::string(MTSM_PYTHON) + "' -B -c \"" + code.str() + "\"";
+    CHECK(std::system(command.c_str()) == 0);
+}

@@ -1,0 +1,306 @@
+// golden_maps.h - the maps that the files in this folder hold, for ever.
+//
+// Every number comes from integer arithmetic and from float operations that round to the
+// same bits on every machine.
+#pragma once
+#include <bit>
+#include <cstdint>
+#include <functional>
+#include <limits>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "mtsm/map.h"
+#include "mtsm/writer.h"
+
+namespace mtsm::test {
+
+struct Golden {
+    std::string name;  ///< of the file, without .mtsm
+    ShadowMap map;
+    Codec codec = Codec::zstd;
+};
+
+/// The same numbers in the same order on every machine.
+class Numbers {
+  public:
+    explicit Numbers(std::uint64_t seed) : state_(seed) {}
+    std::uint32_t below(std::uint32_t n) {
+        state_ = state_ * 6364136223846793005u + 1442695040888963407u;
+        return static_cast<std::uint32_t>((state_ >> 33) % n);
+    }
+
+  private:
+    std::uint64_t state_;
+};
+
+struct Layer {
+    float z = 1.0f;
+    std::vector<float> v;  ///< by channel; none: opaque
+    std::uint32_t n = 1;
+};
+using Pixel = std::vector<Layer>;
+
+/// The layers of pixel (x, y) of a face.
+using PixelMaker =
+    std::function<Pixel(std::uint32_t face, std::uint32_t x, std::uint32_t y)>;
+
+inline MapInfo goldenInfo(std::uint32_t width, std::uint32_t height,
+                          std::uint32_t tileSize) {
+    MapInfo info;
+    info.width = width;
+    info.height = height;
+    info.tileSize = tileSize;
+    info.light.position = {0.0, 4.0, 0.0};
+    info.software = "make_golden 1";
+    return info;
+}
+
+/// An eye that looks along -z of the world, a pixel one unit wide at depth 1.
+inline Projection goldenProjection(const MapInfo& info) {
+    Projection p;
+    p.scale = {1.0, -1.0};
+    p.offset = {0.5 * info.width, 0.5 * info.height};
+    return p;
+}
+
+/// One tile with v and n planes if any layer of it needs them.
+inline Tile goldenTile(const MapInfo& info, std::uint32_t face, std::uint32_t tx,
+                       std::uint32_t ty, const PixelMaker& pixel) {
+    Tile t;
+    std::vector<std::vector<float>> v(info.channels);
+    t.begin.push_back(0);
+    const std::uint32_t s = info.tileSize;
+    for (std::uint32_t y = ty * s; y < info.height && y < (ty + 1) * s; ++y) {
+        for (std::uint32_t x = tx * s; x < info.width && x < (tx + 1) * s; ++x) {
+            for (const Layer& layer : pixel(face, x, y)) {
+                t.z.push_back(layer.z);
+                t.n.push_back(layer.n);
+                for (std::uint32_t c = 0; c < info.channels; ++c)
+                    v[c].push_back(layer.v.empty() ? 0.0f : layer.v[c]);
+            }
+            t.begin.push_back(static_cast<std::uint32_t>(t.z.size()));
+        }
+    }
+    if (t.z.empty()) return {};
+    for (const auto& plane : v)
+        t.v.insert(t.v.end(), plane.begin(), plane.end());
+    return t;
+}
+
+inline ShadowMap goldenMap(const MapInfo& info,
+                           const std::vector<Projection>& projections,
+                           const PixelMaker& pixel) {
+    std::vector<MapFace> faces;
+    for (const Projection& projection : projections) {
+        MapFace face;
+        face.projection = projection;
+        const auto index = static_cast<std::uint32_t>(faces.size());
+        for (std::uint32_t ty = 0; ty * info.tileSize < info.height; ++ty) {
+            for (std::uint32_t tx = 0; tx * info.tileSize < info.width; ++tx)
+                face.tiles.push_back(goldenTile(info, index, tx, ty, pixel));
+        }
+        faces.push_back(std::move(face));
+    }
+    auto map = ShadowMap::create(info, std::move(faces));
+    if (!map) throw std::runtime_error(map.error().message);
+    return *std::move(map);
+}
+
+// --- the maps, one per feature
+// -------------------------------------------------------------
+
+/// The worked example of the specification: one opaque layer.
+inline Golden onePixel() {
+    MapInfo info = goldenInfo(1, 1, 8);
+    info.light.radius = 0.5;
+    info.light.shape = LightShape::disk;
+    info.software = "hand";
+    info.samples = 1;
+    return {"one_pixel", goldenMap(info, {goldenProjection(info)}, [](auto, auto, auto) {
+                return Pixel{{2.5f, {}, 1}};
+            })};
+}
+
+inline Golden emptyMap() {
+    const MapInfo info = goldenInfo(20, 12, 8);
+    return {"empty", goldenMap(info, {goldenProjection(info)},
+                               [](auto, auto, auto) { return Pixel(); })};
+}
+
+/// Two smooth sheets that overlap, one of them torn; one tile is empty.
+inline Pixel sheets(std::uint32_t x, std::uint32_t y) {
+    Pixel layers;
+    if (x >= 16 && y >= 8) return layers;
+    if ((x + y) % 7 != 0) layers.push_back({4.0f + float(x * x + 3 * y) / 64.0f, {}, 1});
+    if (x > 4) layers.push_back({20.0f + float(x) / 4.0f - float(y * y) / 128.0f, {}, 1});
+    return layers;
+}
+
+inline Golden opaque() {
+    MapInfo info = goldenInfo(24, 16, 8);
+    info.maxLayers = 2;
+    info.bias = 0.125f;
+    info.samples = 700;
+    info.samplesDropped = 3;
+    return {"opaque", goldenMap(info, {goldenProjection(info)},
+                                [](auto, auto x, auto y) { return sheets(x, y); })};
+}
+
+/// Glass, smoke and walls behind each other: visibility that falls to zero and starts
+/// again.
+inline ShadowMap transparentMap() {
+    MapInfo info = goldenInfo(16, 16, 16);
+    info.resets = 2;
+    info.toleranceAsked = 0.02f;
+    info.toleranceReached = 0.015625f;
+    info.settings = "--resets 2 --tolerance 0.02";
+    Numbers numbers(7);
+    return goldenMap(info, {goldenProjection(info)}, [&](auto, auto x, auto y) {
+        Pixel p;
+        if (x == 0) return p;
+        p.push_back({1.0f + float(x + y) / 32.0f, {1.0f - float(x) / 32.0f}, 1 + x % 3});
+        p.push_back({3.0f, {float(numbers.below(16)) / 32.0f}, 1});
+        p.push_back({3.0f, {y == 9 ? -0.0f : 0.0f}, 200});  // a wall, then a reset
+        if (y % 2) p.push_back({8.5f, {0.75f}, 2});
+        if (y % 4 == 3) p.push_back({9.5f, {0.0f}, 1});
+        return p;
+    });
+}
+inline Golden transparentResets() {
+    return {"transparent_resets", transparentMap()};
+}
+inline Golden codecNone() {
+    return {"codec_none", transparentMap(), Codec::none};
+}
+
+/// A cube of views around a light that lies within the casters.
+inline Golden sixFaces() {
+    MapInfo info = goldenInfo(8, 8, 8);
+    info.light.shape = LightShape::sphere;
+    info.light.radius = 0.25;
+    const glm::dvec3 axes[3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+    std::vector<Projection> faces;
+    for (int f = 0; f < 6; ++f) {
+        Projection p = goldenProjection(info);
+        p.eye = info.light.position;
+        p.scale = {4.0, -4.0};  // 90 degrees
+        p.forward = axes[f / 2] * (f % 2 ? -1.0 : 1.0);
+        p.up = axes[(f / 2 + 1) % 3];
+        p.right = glm::dvec3(p.forward.y * p.up.z - p.forward.z * p.up.y,
+                             p.forward.z * p.up.x - p.forward.x * p.up.z,
+                             p.forward.x * p.up.y - p.forward.y * p.up.x);
+        faces.push_back(p);
+    }
+    return {"six_faces", goldenMap(info, faces, [](auto face, auto x, auto y) {
+                Pixel p;
+                if (face == 4 || x < face) return p;
+                p.push_back({2.0f + float(face), {}, 1});
+                if (y == 3) p.push_back({1e9f, {}, 1});
+                return p;
+            })};
+}
+
+/// Coloured glass, each channel filtered as suits it: constant, smooth, noisy.
+inline Golden threeChannels() {
+    MapInfo info = goldenInfo(20, 17, 32);
+    info.channels = 3;
+    info.light.shape = LightShape::rect;
+    info.light.size = {2.0, 0.5};
+    Numbers numbers(11);
+    return {"three_channels",
+            goldenMap(info, {goldenProjection(info)}, [&](auto, auto x, auto y) {
+                const float smooth = 1.0f - float(x * 5 + y * 3) / 256.0f;
+                const float noisy = float(1 + numbers.below(1u << 20)) / float(1u << 20);
+                Pixel p = {{5.0f, {0.5f, smooth, noisy}, 1}};
+                if (x % 2) p.push_back({6.0f + float(y), {0.5f, smooth / 2, 0.0f}, 3});
+                return p;
+            })};
+}
+
+/// Sides that are no multiple of anything, a parallel light, large counts of samples.
+inline Golden oddSize() {
+    MapInfo info = goldenInfo(37, 19, 16);
+    info.light.shape = LightShape::sun;
+    info.light.direction = {0.0, -0.8, -0.6};
+    info.light.angularDiameter = 0.00925;
+    info.resets = kAllResets;
+    info.maxLayers = 5;
+    info.metresPerUnit = 0.01;
+    info.castersClipped = true;
+    info.samples = 0xfedcba9876543210u;
+    info.bias = std::numeric_limits<float>::denorm_min();
+    Projection p = goldenProjection(info);
+    p.kind = ProjectionKind::orthographic;
+    p.eye = {1e7, -1.0 / 3.0, -0.0};
+    p.near = 0.1;
+    p.far = 1e9;
+    Numbers numbers(13);
+    return {"odd_size", goldenMap(info, {p}, [&](auto, auto x, auto y) {
+                Pixel layers;
+                float z = 0x1p-20f * float(1 + numbers.below(64));
+                for (std::uint32_t i = numbers.below(4); i > 0; --i) {
+                    z += float(numbers.below(1000)) / 8.0f;
+                    // Tiles with n of one, two and four bytes.
+                    const std::uint32_t most = x < 16 ? 4 : x < 32 ? 300 : 0xffffffffu;
+                    layers.push_back({z, {}, 1 + numbers.below(most)});
+                    if (x >= 32 && y == 0) layers.back().n = 0xffffffffu;
+                }
+                return layers;
+            })};
+}
+
+/// A pixel of 300 layers beside one of none: counts of two bytes.
+inline Golden deepPixel() {
+    const MapInfo info = goldenInfo(3, 2, 8);
+    return {"deep_pixel",
+            goldenMap(info, {goldenProjection(info)}, [](auto, auto x, auto y) {
+                Pixel p;
+                if (x == 1 && y == 1) {
+                    for (int i = 0; i < 300; ++i)
+                        p.push_back({1.0f + float(i / 2), {float(300 - i) / 300.0f}, 1});
+                }
+                if (x == 2) p.push_back({2.0f, {}, 1});
+                return p;
+            })};
+}
+
+inline Golden attributes() {
+    MapInfo info = goldenInfo(2, 2, 8);
+    info.settings = "quote \" backslash \\ newline \n moon \xf0\x9f\x8c\x92";
+    const auto nan = std::bit_cast<double>(0x7ff800000000beefu);
+    info.attributes = {
+        {"shot", std::string("sq010_sh0040")},
+        {"empty text", std::string()},
+        {"zero byte", std::string("a\0b", 3)},
+        {"\xc3\xa9t\xc3\xa9", std::string("\xe2\x98\x80")},
+        {"frame", std::int64_t(-7)},
+        {"lowest", std::numeric_limits<std::int64_t>::min()},
+        {"no numbers", std::vector<double>{}},
+        {"numbers", std::vector<double>{0.1, -0.0, 5e-324, 1.7976931348623157e308,
+                                        std::numeric_limits<double>::infinity(), nan}},
+        {std::string(255, 'x'), std::int64_t(1)}};
+    return {"attributes",
+            goldenMap(info, {goldenProjection(info)}, [](auto, auto x, auto y) {
+                return Pixel{{1.0f + float(x), {}, 1 + y}};
+            })};
+}
+
+inline std::vector<Golden> goldenMaps() {
+    std::vector<Golden> all;
+    all.push_back(onePixel());
+    all.push_back(emptyMap());
+    all.push_back(opaque());
+    all.push_back(transparentResets());
+    all.push_back(codecNone());
+    all.push_back(sixFaces());
+    all.push_back(threeChannels());
+    all.push_back(oddSize());
+    all.push_back(deepPixel());
+    all.push_back(attributes());
+    return all;
+}
+
+}  // namespace mtsm::test
