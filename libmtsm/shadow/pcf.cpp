@@ -32,18 +32,17 @@ float Query::filtered(const Receiver& receiver,
             continue;
         const auto x = std::uint32_t(r.x), y = std::uint32_t(r.y);
 
-        double low = 0.0, high = point.z - bias_;
-        if (receiver.hasNormal) {
-            high = point.z;
-            trace::clipToPlane(p, receiver.plane, x, y, low, high);
-            if (!(low <= high)) continue;
-        }
+        // Everything in front of the point along the centre ray, but for its own surface.
+        const trace::Span inFront{0.0, receiver.hasNormal ? point.z : point.z - bias_};
+        trace::Span counted;
+        if (receiver.hasNormal) counted = trace::clipToPlane(p, receiver.plane, x, y);
+        if (inFront.empty() || counted.empty()) continue;
         trace::TraceOptions options;
         options.threshold = options_.threshold;
         options.attenuation = options_.attenuation;
         std::array<double, 3> visible{1.0, 1.0, 1.0};
-        if (trace::attenuate(map_.pixel(face, x, y), map_.info().channels, low, high,
-                             options, visible))
+        if (trace::attenuate(map_.pixel(face, x, y), map_.info().channels, inFront,
+                             counted, options, visible))
             return 0.0f;
         return mean({float(visible[0]), float(visible[1]), float(visible[2])},
                     map_.info().channels);

@@ -7,6 +7,7 @@
 // [Xie07, sec. 4.3].
 #pragma once
 #include <array>
+#include <cmath>
 #include <glm/vec3.hpp>
 
 #include "mtsm/map.h"
@@ -45,14 +46,23 @@ using ChannelVisibility = std::array<float, 3>;
 [[nodiscard]] ChannelVisibility traceRay(const ShadowMap& map, const Ray& ray,
                                          const TraceOptions& options) noexcept;
 
-/// Takes from `visible` what the samples of one pixel with depths in [low, high] take;
-/// true if the ray is now at or below the threshold. Shared by trace and filtered lookup.
-bool attenuate(const PixelLayers& pixel, std::uint32_t channels, double low, double high,
-               const TraceOptions& options, std::array<double, 3>& visible) noexcept;
+/// Depths from low to high, both included; nothing if low > high.
+struct Span {
+    double low = -HUGE_VAL, high = HUGE_VAL;
+    [[nodiscard]] bool empty() const noexcept { return !(low <= high); }
+};
 
-/// Depths on the centre ray of pixel (x, y) that lie above the plane: [low, high] shrinks
-/// to them and may become empty (low > high).
-void clipToPlane(const Projection& projection, const ReceiverPlane& plane,
-                 std::uint32_t x, std::uint32_t y, double& low, double& high) noexcept;
+/// Takes from `visible` what one pixel's samples take from a ray that crosses the depths
+/// `crossed` there; true if the ray is now at or below the threshold. A layer of no
+/// visibility blocks if it lies within options.bias of `crossed`. Of the others only the
+/// samples within `crossed` itself take their share: a ray that changes pixels near such
+/// a layer would else pay for it in both. Layers outside `counted` do not count.
+bool attenuate(const PixelLayers& pixel, std::uint32_t channels, Span crossed,
+               Span counted, const TraceOptions& options,
+               std::array<double, 3>& visible) noexcept;
+
+/// The depths on the centre ray of pixel (x, y) that lie above the plane.
+[[nodiscard]] Span clipToPlane(const Projection& projection, const ReceiverPlane& plane,
+                               std::uint32_t x, std::uint32_t y) noexcept;
 
 }  // namespace mtsm::trace

@@ -132,13 +132,13 @@ class Traversal {
 
     /// intersect(node, ray) of the paper, for one pixel.
     bool meet(std::uint32_t x, std::uint32_t y, double zLow, double zHigh) {
-        double low = zLow - options_.bias, high = zHigh + options_.bias;
+        Span counted;
         if (options_.plane) {
-            clipToPlane(map_.projection(face_), *options_.plane, x, y, low, high);
-            if (!(low <= high)) return false;
+            counted = clipToPlane(map_.projection(face_), *options_.plane, x, y);
+            if (counted.empty()) return false;
         }
-        return attenuate(map_.pixel(face_, x, y), map_.info().channels, low, high,
-                         options_, visible_);
+        return attenuate(map_.pixel(face_, x, y), map_.info().channels, {zLow, zHigh},
+                         counted, options_, visible_);
     }
 
     const ShadowMap& map_;
@@ -166,33 +166,44 @@ std::uint32_t samplesWithin(double a, double b, std::uint32_t n, double low,
 
 }  // namespace
 
-bool attenuate(const PixelLayers& pixel, std::uint32_t channels, double low, double high,
-               const TraceOptions& options, std::array<double, 3>& visible) noexcept {
+bool attenuate(const PixelLayers& pixel, std::uint32_t channels, Span crossed,
+               Span counted, const TraceOptions& options,
+               std::array<double, 3>& visible) noexcept {
+    const auto within = [&](double bias) {
+        return Span{std::max(crossed.low - bias, counted.low),
+                    std::min(crossed.high + bias, counted.high)};
+    };
+    const Span thick = within(options.bias), exact = within(0.0);
+    const auto visibility = [&](std::uint32_t layer, std::uint32_t c) -> double {
+        return pixel.v ? pixel.v[c * pixel.vStride + layer] : 0.0f;
+    };
+    const auto isDark = [&](std::uint32_t layer) {
+        for (std::uint32_t c = 0; c < channels; ++c) {
+            if (visibility(layer, c) > 0.0) return false;
+        }
+        return true;
+    };
+
     // The first layer that is not wholly in front of the interval.
     const auto begin = std::uint32_t(
-        std::lower_bound(pixel.z, pixel.z + pixel.count, low,
+        std::lower_bound(pixel.z, pixel.z + pixel.count, thick.low,
                          [](float z, double value) { return double(z) < value; }) -
         pixel.z);
     for (std::uint32_t i = begin; i < pixel.count; ++i) {
         const double zBefore = i > 0 ? pixel.z[i - 1] : pixel.z[0];
-        if (zBefore > high) break;
+        if (zBefore > thick.high) break;
+        const Span& span = isDark(i) ? thick : exact;
         const std::uint32_t n = pixel.n ? pixel.n[i] : 1;
-        const std::uint32_t met = samplesWithin(zBefore, pixel.z[i], n, low, high);
+        const std::uint32_t met =
+            samplesWithin(zBefore, pixel.z[i], n, span.low, span.high);
         if (met == 0) continue;
-        if (!pixel.v) {  // opaque
-            visible.fill(0.0);
-            return true;
-        }
 
-        bool reset = i > 0;  // is the layer in front dark in every channel?
-        for (std::uint32_t c = 0; c < channels && reset; ++c)
-            reset = pixel.v[c * pixel.vStride + i - 1] == 0.0f;
-        const bool restart = i == 0 || reset;
+        const bool restart = i == 0 || isDark(i - 1);
+        const double share = double(met) / n;
         bool dark = true;
         for (std::uint32_t c = 0; c < channels; ++c) {
-            const double v = pixel.v[c * pixel.vStride + i];
-            const double before = restart ? 1.0 : pixel.v[c * pixel.vStride + i - 1];
-            const double share = double(met) / n;
+            const double v = visibility(i, c),
+                         before = restart ? 1.0 : visibility(i - 1, c);
             if (options.attenuation == Attenuation::subtract) {
                 visible[c] = std::max(0.0, visible[c] - (before - v) * share);  // eq. 3
             } else if (v <= 0.0) {
@@ -207,8 +218,8 @@ bool attenuate(const PixelLayers& pixel, std::uint32_t channels, double low, dou
     return false;
 }
 
-void clipToPlane(const Projection& projection, const ReceiverPlane& plane,
-                 std::uint32_t x, std::uint32_t y, double& low, double& high) noexcept {
+Span clipToPlane(const Projection& projection, const ReceiverPlane& plane,
+                 std::uint32_t x, std::uint32_t y) noexcept {
     // A point at depth z on the centre ray lies a z + b above the plane.
     const glm::dvec3 n = projection.lightFromWorldDirection(plane.normal);
     const glm::dvec3 p = projection.lightFromWorldDirection(plane.point);
@@ -218,14 +229,10 @@ void clipToPlane(const Projection& projection, const ReceiverPlane& plane,
     const bool perspective = projection.kind == ProjectionKind::perspective;
     const double a = perspective ? n.z + across : n.z;
     const double b = (perspective ? 0.0 : across) - glm::dot(n, p) - plane.height;
-    // Depths are clipped just short of the plane itself: a layer on it does not count.
-    if (a > 0.0) {
-        low = std::max(low, std::nextafter(-b / a, HUGE_VAL));
-    } else if (a < 0.0) {
-        high = std::min(high, std::nextafter(-b / a, -HUGE_VAL));
-    } else if (!(b > 0.0)) {
-        high = -HUGE_VAL;
-    }
+    // Just short of the plane itself: a layer on it does not count.
+    if (a > 0.0) return {std::nextafter(-b / a, HUGE_VAL), HUGE_VAL};
+    if (a < 0.0) return {-HUGE_VAL, std::nextafter(-b / a, -HUGE_VAL)};
+    return b > 0.0 ? Span{} : Span{HUGE_VAL, -HUGE_VAL};
 }
 
 ChannelVisibility traceRay(const ShadowMap& map, const Ray& ray,

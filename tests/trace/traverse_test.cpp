@@ -44,14 +44,15 @@ double bruteForce(const ShadowMap& map, const Ray& ray, const TraceOptions& opti
             side(ha - 1e-9L, hb);  // in front of the eye
             if (!(t0 < t1)) continue;
             const L za = o.z + d.z * t0, zb = o.z + d.z * t1;
-            const L low = std::min(za, zb) - options.bias,
-                    high = std::max(za, zb) + options.bias;
             const PixelLayers layers = map.pixel(0, x, y);
             L vBefore = 1;
             for (std::uint32_t i = 0; i < layers.count; ++i) {
                 const L v = layers.v ? layers.v[i] : 0;
                 const std::uint32_t n = layers.n ? layers.n[i] : 1;
                 const L from = i ? layers.z[i - 1] : layers.z[0];
+                // Only what is opaque is thickened by the bias.
+                const L bias = v == 0 ? options.bias : 0.0;
+                const L low = std::min(za, zb) - bias, high = std::max(za, zb) + bias;
                 int met = 0;
                 for (std::uint32_t j = 1; j <= n; ++j) {
                     const L z =
@@ -141,7 +142,10 @@ TEST_CASE(
     CHECK(trace({-5, 0.3, -4}, {5, 0.3, -4}) == Approx(std::pow(0.5, 16)).epsilon(1e-5));
     // Beside depth 4 it meets none, unless the bias reaches.
     CHECK(trace({-5, 0.3, -3.9}, {5, 0.3, -3.9}) == 1.0f);
-    CHECK(trace({-1, 0.1, -3.9}, {-0.9, 0.1, -3.9}, 0.11) < 1.0f);
+    // The bias thickens what is opaque; of a half-transparent layer a ray pays its share
+    // once.
+    CHECK(trace({-1, 0.1, -3.9}, {-0.9, 0.1, -3.9}, 0.11) == 1.0f);
+    CHECK(trace({-3, 2, -6}, {2.5, -0.2, -1}, 0.5) == 0.5f);
     // Ends short of the layer, starts beyond it, misses the window, has no length.
     CHECK(trace({0.1, 0.2, -8}, {0.1, 0.2, -4.01}) == 1.0f);
     CHECK(trace({0.1, 0.2, -3.99}, {0, 0, -1}) == 1.0f);
@@ -204,6 +208,21 @@ TEST_CASE("three channels fade apart", "[trace]") {
     ray.origin = {0.5, 0.5, -5};
     ray.delta = {0, 0, 4};
     CHECK(traceRay(*map, ray, {}) == ChannelVisibility{0.75f, 0.5f, 0.0f});
+}
+
+TEST_CASE("an opaque layer blocks within the bias of its depth", "[trace][exact]") {
+    const ShadowMap map =
+        mapOf(test::plainInfo(16, 16, 8), test::plainProjection(16, 16), [](auto, auto) {
+            return std::vector<TestLayer>{{4.0f, 0.0f, 1}};
+        });
+    for (double z : {3.5, 3.95, 4.05, 4.5}) {
+        Ray ray;  // parallel to the layer
+        ray.origin = {-1, 0.1, -z};
+        ray.delta = {0.5, 0.2, 0};
+        TraceOptions options;
+        options.bias = 0.1;
+        CHECK(traceRay(map, ray, options)[0] == (std::abs(z - 4) < 0.1 ? 0.0f : 1.0f));
+    }
 }
 
 TEST_CASE("what fell to the threshold is dark", "[trace]") {

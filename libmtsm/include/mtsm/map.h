@@ -107,8 +107,10 @@ struct MapInfo {
     std::uint32_t tileSize = 64;  ///< pixels per side: 8, 16, 32, 64, 128 or 256
     std::uint32_t channels = 1;  ///< visibility channels: 1, or 3 for coloured visibility
     AreaLight light;             ///< what the map was baked for
-    float bias =
-        0.0f;  ///< z threshold: a layer blocks within [z - bias, z + bias]; world units
+    /// z threshold, world units: an opaque layer blocks within [z - bias, z + bias].
+    /// (Others are not thickened: a ray that changes pixels there would pay for them
+    /// twice.)
+    float bias = 0.0f;
     std::uint32_t maxLayers = 0;  ///< cap per pixel that was asked for; 0: none
     std::uint32_t resets = 0;     ///< times that accumulation may restart; see kAllResets
     float toleranceAsked = 0.0f;  ///< bound on |V - V'| that was asked for; 0: lossless

@@ -10,6 +10,10 @@
 // fail; answers are finite whatever the input. The same map, point, light and seed give
 // the same answer on any machine, alone or in a batch, for any number of threads.
 //
+// What the bias does: an opaque layer blocks within the bias of its depth, and without a
+// normal rays start five biases away from the receiver, so that its own surface does not
+// darken it. With a normal the tangent plane does that job, and no layer is thickened.
+//
 // Points that are not finite are lit. A point on or behind the plane of a one-sided light
 // (disk, rect) receives nothing from it: that is not shadow, so it counts as lit and
 // QueryStats says how many there were.
