@@ -1,12 +1,11 @@
 // sink.h - where a writer's bytes go: memory, or a file that appears whole or not at all.
 #pragma once
-#include <sys/types.h>
-
 #include <cstdint>
 #include <span>
 #include <string>
 #include <vector>
 
+#include "base/file_output.h"
 #include "mtsm/result.h"
 
 namespace mtsm::format {
@@ -30,36 +29,16 @@ class MemorySink final : public Sink {
     std::vector<std::uint8_t> bytes_;
 };
 
-/// A file that is replaced at once. Bytes go to a temporary in the same folder, which
-/// commit() syncs to the disk and renames over the target; without commit() the
-/// destructor removes it. Where the path is a symbolic link, the file it points to is
-/// replaced and the link stays. The new file has the permissions of the one it replaces,
-/// or those that any new file would get.
-///
-/// What exists and is no regular file (a pipe, a device such as /dev/stdout) cannot be
-/// replaced: it is written to as it is. All errors are io and name the path.
+/// A file that appears whole or not at all: see base::FileOutput.
 class FileSink final : public Sink {
   public:
-    explicit FileSink(std::string path) : path_(std::move(path)) {}
-    ~FileSink() override;
-    FileSink(const FileSink&) = delete;
-    FileSink& operator=(const FileSink&) = delete;
-
-    Status open();
-    Status write(std::span<const std::uint8_t> bytes) override;
-    Status commit();
+    explicit FileSink(base::FileOutput& file) : file_(file) {}
+    Status write(std::span<const std::uint8_t> bytes) override {
+        return file_.write(bytes);
+    }
 
   private:
-    Status openTemporary(bool exists, mode_t mode);
-    Status setMode(mode_t mode) const;
-    Status syncFolder() const;
-    [[nodiscard]] Error failed(const char* what, int reason) const;
-
-    std::string path_;       // as the caller gave it: for messages
-    std::string target_;     // what is replaced, links resolved
-    std::string folder_;     // that it lies in
-    std::string temporary_;  // empty: written straight to, or committed
-    int fd_ = -1;
+    base::FileOutput& file_;
 };
 
 }  // namespace mtsm::format

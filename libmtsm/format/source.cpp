@@ -9,7 +9,7 @@
 #include <cstring>
 
 #include "base/message.h"
-#include "format/system_error.h"
+#include "base/system_error.h"
 
 namespace mtsm::format {
 namespace {
@@ -33,7 +33,8 @@ class FileSource final : public Source {
             if (got < 0 && errno == EINTR) continue;
             if (got < 0)
                 return makeError(ErrorCode::io, name(), ": cannot read ", out.size(),
-                                 " bytes at offset ", offset, ": ", systemReason(errno));
+                                 " bytes at offset ", offset, ": ",
+                                 base::systemReason(errno));
             if (got == 0)
                 return makeError(ErrorCode::io, name(), ": ends at offset ", offset,
                                  " although it had ", size_,
@@ -81,13 +82,14 @@ Result<std::unique_ptr<Source>> openFile(const std::string& path) {
     // Opening a pipe that nobody writes to would wait for ever: O_NONBLOCK does not.
     const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
     if (fd < 0)
-        return makeError(ErrorCode::io, path, ": cannot open: ", systemReason(errno));
+        return makeError(ErrorCode::io, path,
+                         ": cannot open: ", base::systemReason(errno));
     struct stat info = {};
     if (::fstat(fd, &info) != 0) {
         const int reason = errno;
         ::close(fd);
         return makeError(ErrorCode::io, path,
-                         ": cannot find its size: ", systemReason(reason));
+                         ": cannot find its size: ", base::systemReason(reason));
     }
     if (!S_ISREG(info.st_mode)) {
         ::close(fd);

@@ -188,13 +188,14 @@ Status writeMap(const ShadowMap& map, const std::string& path,
                 const WriteOptions& options) {
     return format::guarded(path, "write", [&]() -> Status {
         if (auto s = format::checkOptions(options); !s) return s;
-        format::FileSink sink(path);
-        if (auto s = sink.open(); !s) return s;
+        base::FileOutput file(path);
+        if (auto s = file.open(); !s) return s;
+        format::FileSink sink(file);
         if (auto s = format::MapWriter(map, options, sink).run(); !s) {
             if (s.error().code == ErrorCode::io) return s;  // names the path already
             return base::makeError(s.error().code, path, ": ", s.error().message);
         }
-        return sink.commit();
+        return file.commit();
     });
 }
 

@@ -4,8 +4,8 @@
 #include <cstdio>
 #include <cstring>
 
+#include "base/file_output.h"
 #include "base/message.h"
-#include "io/atomic_output.h"
 #include "mtsm/points.h"
 
 namespace mtsm {
@@ -61,12 +61,14 @@ Status writeCsv(const std::string& path, const std::vector<CsvColumn>& columns,
     if (columns.empty())
         return makeError(ErrorCode::badArgument, path, ": a CSV file needs a column");
     if (path == "-") return writeToStandardOutput(columns, rows);
-    auto out = io::AtomicOutput::create(path);
-    if (!out) return out.error();
+    base::FileOutput file(path);
+    if (auto s = file.open(); !s) return s;
+    Status written;
     formatCsv(columns, rows, [&](const std::string& text) {
-        return out->write(text.data(), text.size());
+        written = file.write(base::bytesOf(text));
+        return written.ok();
     });
-    return out->commit();
+    return written ? file.commit() : written;
 }
 
 }  // namespace mtsm

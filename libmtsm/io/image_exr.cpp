@@ -6,10 +6,12 @@
 #include <ImfOutputFile.h>
 #include <ImfStringAttribute.h>
 
+#include <algorithm>
 #include <set>
+#include <vector>
 
+#include "base/file_output.h"
 #include "base/message.h"
-#include "io/atomic_output.h"
 #include "mtsm/image.h"
 
 namespace mtsm {
@@ -17,23 +19,23 @@ namespace {
 
 using base::makeError;
 
-/// Failures stay in the AtomicOutput as well: OutputFile's destructor writes the table of
-/// offsets and swallows what is thrown meanwhile.
-class OutputStream final : public Imf::OStream {
+/// OpenEXR goes back to fill in its table of offsets, so the file is made in memory.
+class MemoryStream final : public Imf::OStream {
   public:
-    OutputStream(io::AtomicOutput& out, const std::string& path)
-        : OStream(path.c_str()), out_(out) {}
+    explicit MemoryStream(const std::string& path) : OStream(path.c_str()) {}
     void write(const char* bytes, int size) override {
-        if (!out_.write(bytes, std::size_t(size)))
-            throw Iex::IoExc("the system could not write the file");
+        const std::size_t end = at_ + std::size_t(size);
+        if (end > bytes_.size()) bytes_.resize(end);
+        std::copy_n(bytes, size, bytes_.begin() + std::ptrdiff_t(at_));
+        at_ = end;
     }
-    std::uint64_t tellp() override { return out_.tell(); }
-    void seekp(std::uint64_t position) override {
-        if (!out_.seek(position)) throw Iex::IoExc("the system could not seek");
-    }
+    std::uint64_t tellp() override { return at_; }
+    void seekp(std::uint64_t position) override { at_ = position; }
+    [[nodiscard]] const std::vector<std::uint8_t>& bytes() const { return bytes_; }
 
   private:
-    io::AtomicOutput& out_;
+    std::vector<std::uint8_t> bytes_;
+    std::size_t at_ = 0;
 };
 
 bool fitsWindow(PixelWindow w) {
@@ -77,8 +79,6 @@ Imath::Box2i box(PixelWindow w) {
 
 Status writeImageExr(const std::string& path, const FloatImage& image) {
     if (auto s = checkImage(path, image); !s) return s;
-    auto out = io::AtomicOutput::create(path);
-    if (!out) return out.error();
     try {
         Imf::Header header(box(image.display), box(image.data));
         header.compression() = Imf::ZIP_COMPRESSION;
@@ -90,16 +90,16 @@ Status writeImageExr(const std::string& path, const FloatImage& image) {
             frame.insert(c.name, Imf::Slice::Make(Imf::FLOAT, c.values.data(),
                                                   header.dataWindow()));
         }
-        OutputStream stream(*out, path);
-        Imf::OutputFile file(stream, header, 0);
-        file.setFrameBuffer(frame);
-        file.writePixels(int(image.data.height));
+        MemoryStream stream(path);
+        {
+            Imf::OutputFile file(stream, header, 0);
+            file.setFrameBuffer(frame);
+            file.writePixels(int(image.data.height));
+        }  // writes the table of offsets
+        return base::writeFile(path, stream.bytes());
     } catch (const std::exception& e) {
-        if (!out->failed())
-            return makeError(ErrorCode::badArgument, path,
-                             ": cannot be written: ", e.what());
+        return makeError(ErrorCode::badArgument, path, ": cannot be written: ", e.what());
     }
-    return out->commit();
 }
 
 }  // namespace mtsm

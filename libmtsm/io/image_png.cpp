@@ -4,8 +4,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/file_output.h"
 #include "base/message.h"
-#include "io/atomic_output.h"
+
 #include "mtsm/image.h"
 
 namespace mtsm {
@@ -15,44 +16,10 @@ using base::makeError;
 
 constexpr std::uint32_t kLargestSide = 1000000;  // libpng's own default limit
 
-/// What libpng calls back with.
-struct PngOutput {
-    io::AtomicOutput& file;
-    std::string problem;  // libpng's words
-};
-
-void onWrite(png_structp png, png_bytep bytes, std::size_t size) {
-    auto* out = static_cast<PngOutput*>(png_get_io_ptr(png));
-    if (!out->file.write(bytes, size)) png_error(png, "the system could not write");
-}
-
-void onFlush(png_structp) {}
-
-void onError(png_structp png, png_const_charp text) {
-    static_cast<PngOutput*>(png_get_error_ptr(png))->problem = text;
-    png_longjmp(png, 1);
-}
-
-void onWarning(png_structp, png_const_charp) {}
-
-int colourType(std::uint32_t channels) {
-    return channels == 1   ? PNG_COLOR_TYPE_GRAY
-           : channels == 3 ? PNG_COLOR_TYPE_RGB
-                           : PNG_COLOR_TYPE_RGB_ALPHA;
-}
-
-/// The part that libpng may leave by longjmp: nothing in it has a destructor.
-bool encode(png_structp png, png_infop info, const ByteImage& image) {
-    if (setjmp(png_jmpbuf(png))) return false;
-    png_set_IHDR(png, info, image.width, image.height, 8, colourType(image.channels),
-                 PNG_INTERLACE_NONE, PNG_COMPRESSION_TYPE_DEFAULT,
-                 PNG_FILTER_TYPE_DEFAULT);
-    png_write_info(png, info);
-    const std::size_t stride = std::size_t(image.width) * image.channels;
-    for (std::uint32_t y = 0; y < image.height; ++y)
-        png_write_row(png, image.values.data() + y * stride);
-    png_write_end(png, info);
-    return true;
+std::uint32_t pixelFormat(std::uint32_t channels) {
+    return channels == 1   ? PNG_FORMAT_GRAY
+           : channels == 3 ? PNG_FORMAT_RGB
+                           : PNG_FORMAT_RGBA;
 }
 
 }  // namespace
@@ -70,22 +37,18 @@ Status writeImagePng(const std::string& path, const ByteImage& image) {
         return makeError(ErrorCode::badArgument, path, ": ", image.values.size(),
                          " values for a PNG that needs ", bytes);
 
-    auto file = io::AtomicOutput::create(path);
-    if (!file) return file.error();
-    PngOutput out{*file, {}};
-    png_structp png =
-        png_create_write_struct(PNG_LIBPNG_VER_STRING, &out, onError, onWarning);
-    png_infop info = png ? png_create_info_struct(png) : nullptr;
-    bool done = false;
-    if (info) {
-        png_set_write_fn(png, &out, onWrite, onFlush);
-        done = encode(png, info, image);
-    }
-    png_destroy_write_struct(&png, &info);
-    if (!done && !file->failed())
-        return makeError(ErrorCode::io, path, ": libpng gave up: ",
-                         out.problem.empty() ? "no memory" : out.problem);
-    return file->commit();
+    png_image png{};
+    png.version = PNG_IMAGE_VERSION;
+    png.width = image.width;
+    png.height = image.height;
+    png.format = pixelFormat(image.channels);
+    std::vector<std::uint8_t> encoded(PNG_IMAGE_PNG_SIZE_MAX(png));
+    png_alloc_size_t size = encoded.size();
+    if (!png_image_write_to_memory(&png, encoded.data(), &size, 0, image.values.data(), 0,
+                                   nullptr))
+        return makeError(ErrorCode::io, path, ": libpng gave up: ", png.message);
+    encoded.resize(size);
+    return base::writeFile(path, encoded);
 }
 
 ByteImage greyImage(std::uint32_t width, std::uint32_t height,

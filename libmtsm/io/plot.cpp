@@ -8,8 +8,8 @@
 #include <limits>
 #include <vector>
 
+#include "base/file_output.h"
 #include "base/message.h"
-#include "io/atomic_output.h"
 
 namespace mtsm {
 namespace {
@@ -217,7 +217,7 @@ std::string visibilityPlot(const ShadowMap& map, std::uint32_t face, std::uint32
 }
 
 Status writeTextFile(const std::string& path, const std::string& content) {
-    return io::writeFileAtomically(path, content.data(), content.size());
+    return base::writeFile(path, base::bytesOf(content));
 }
 
 }  // namespace mtsm

@@ -1,4 +1,4 @@
-#include "format/sink.h"
+#include "base/file_output.h"
 
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -9,14 +9,12 @@
 #include <system_error>
 
 #include "base/message.h"
-#include "format/system_error.h"
+#include "base/system_error.h"
 
-namespace mtsm::format {
+namespace mtsm::base {
 namespace {
 
 namespace fs = std::filesystem;
-using base::makeError;
-
 constexpr int kMostLinks = 40;          // as Linux follows before it says ELOOP
 constexpr int kMostTemporaries = 1000;  // left over from processes that were killed
 
@@ -35,16 +33,16 @@ fs::path followLinks(fs::path path, std::error_code& error) {
 
 }  // namespace
 
-Error FileSink::failed(const char* what, int reason) const {
+Error FileOutput::failed(const char* what, int reason) const {
     return makeError(ErrorCode::io, path_, ": ", what, ": ", systemReason(reason));
 }
 
-FileSink::~FileSink() {
+FileOutput::~FileOutput() {
     if (fd_ >= 0) ::close(fd_);
     if (!temporary_.empty()) ::unlink(temporary_.c_str());
 }
 
-Status FileSink::open() {
+Status FileOutput::open() {
     struct stat info = {};
     const bool exists = ::stat(path_.c_str(), &info) == 0;
     if (!exists && errno != ENOENT) return failed("cannot write here", errno);
@@ -57,7 +55,7 @@ Status FileSink::open() {
     return openTemporary(exists, info.st_mode & 0777);
 }
 
-Status FileSink::openTemporary(bool exists, mode_t mode) {
+Status FileOutput::openTemporary(bool exists, mode_t mode) {
     std::error_code error;
     const fs::path target = followLinks(path_, error);
     if (error) return failed("cannot follow the link", error.value());
@@ -68,7 +66,7 @@ Status FileSink::openTemporary(bool exists, mode_t mode) {
 
     // The process id keeps processes apart, the number threads and what was left behind.
     for (int i = 0; i < kMostTemporaries; ++i) {
-        std::string name = base::concat(folder_, "/.mtsm-", ::getpid(), "-", i, ".part");
+        std::string name = concat(folder_, "/.mtsm-", ::getpid(), "-", i, ".part");
         fd_ = ::open(name.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
         if (fd_ >= 0) {
             temporary_ = std::move(name);
@@ -82,7 +80,7 @@ Status FileSink::openTemporary(bool exists, mode_t mode) {
 }
 
 /// Only where they differ: some file systems let nobody set them.
-Status FileSink::setMode(mode_t mode) const {
+Status FileOutput::setMode(mode_t mode) const {
     struct stat info = {};
     if (::fstat(fd_, &info) != 0) return failed("cannot see its permissions", errno);
     if ((info.st_mode & 0777) == mode) return {};
@@ -90,7 +88,7 @@ Status FileSink::setMode(mode_t mode) const {
                                     : failed("cannot keep its permissions", errno);
 }
 
-Status FileSink::write(std::span<const std::uint8_t> bytes) {
+Status FileOutput::write(std::span<const std::uint8_t> bytes) {
     while (!bytes.empty()) {
         const ssize_t done = ::write(fd_, bytes.data(), bytes.size());
         if (done < 0 && errno == EINTR) continue;
@@ -101,7 +99,7 @@ Status FileSink::write(std::span<const std::uint8_t> bytes) {
     return {};
 }
 
-Status FileSink::commit() {
+Status FileOutput::commit() {
     const bool replaces = !temporary_.empty();
     if (replaces && ::fsync(fd_) != 0) return failed("cannot sync to the disk", errno);
     // Some file systems say only now that a write did not succeed. Linux closes even
@@ -118,7 +116,7 @@ Status FileSink::commit() {
 
 /// Makes the rename last. A folder that may not be opened, or a file system that does not
 /// sync folders, is no failure of the file.
-Status FileSink::syncFolder() const {
+Status FileOutput::syncFolder() const {
     const int folder = ::open(folder_.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (folder < 0)
         return errno == EACCES ? Status() : failed("cannot open its folder", errno);
@@ -128,4 +126,11 @@ Status FileSink::syncFolder() const {
     return {};
 }
 
-}  // namespace mtsm::format
+Status writeFile(const std::string& path, std::span<const std::uint8_t> bytes) {
+    FileOutput file(path);
+    if (auto s = file.open(); !s) return s;
+    if (auto s = file.write(bytes); !s) return s;
+    return file.commit();
+}
+
+}  // namespace mtsm::base
