@@ -1,8 +1,6 @@
 // bake(): placement, rasterising, layers, map.
 #include "mtsm/bake.h"
 
-#include <tbb/parallel_for.h>
-
 #include <algorithm>
 #include <exception>
 #include <limits>
@@ -12,6 +10,7 @@
 #include "bake/placement.h"
 #include "bake/visits.h"
 #include "base/message.h"
+#include "base/parallel.h"
 #include "raster/kbuffer.h"
 #include "raster/memory_budget.h"
 #include "raster/rasteriser.h"
@@ -114,7 +113,7 @@ Result<std::vector<Tile>> takeLayers(KBuffer& buffer, const Progress& progress,
     for (std::size_t first = 0; first < from.size(); first += row) {
         if (auto s = progress(kStage, double(first) / double(from.size())); !s)
             return s.error();
-        tbb::parallel_for(first, first + row, [&](std::size_t i) {
+        base::parallelFor(first, first + row, [&](std::size_t i) {
             tiles[i] = bake_detail::layersOf(from[i]);
             copies[i] = from[i].copies();
         });

@@ -1,14 +1,12 @@
 #include "bake/measure.h"
 
-#include <tbb/blocked_range.h>
-#include <tbb/parallel_reduce.h>
-
 #include <algorithm>
 #include <cmath>
 #include <glm/common.hpp>
 #include <glm/geometric.hpp>
 #include <vector>
 
+#include "base/parallel.h"
 #include "raster/clip.h"
 #include "raster/light_from_object.h"
 #include "raster/mesh_chunk.h"
@@ -87,22 +85,16 @@ Extent measureMesh(const MeshView& mesh, const Projection& frame, const Depths& 
     constexpr std::size_t kChunk = 16384;  // triangles
     const LightFromObject lightFromObject(frame, mesh.worldFromObject);
     const std::size_t chunks = (mesh.triangleCount + kChunk - 1) / kChunk;
-    using Range = tbb::blocked_range<std::size_t>;
-    return tbb::parallel_reduce(
-        Range(0, chunks), Extent{},
-        [&](const Range& range, Extent extent) {
-            for (std::size_t i = range.begin(); i < range.end(); ++i) {
-                const std::size_t first = i * kChunk;
-                const std::size_t count = std::min(kChunk, mesh.triangleCount - first);
-                extent.add(
-                    ChunkMeasure(mesh, first, count, lightFromObject, depths).extent());
-            }
-            return extent;
-        },
-        [](Extent a, const Extent& b) {
-            a.add(b);
-            return a;
-        });
+    std::vector<Extent> parts(chunks);
+    base::parallelFor(std::size_t(0), chunks, [&](std::size_t i) {
+        const std::size_t first = i * kChunk;
+        const std::size_t count = std::min(kChunk, mesh.triangleCount - first);
+        parts[i] = ChunkMeasure(mesh, first, count, lightFromObject, depths).extent();
+    });
+    Extent extent;
+    for (const Extent& part : parts)
+        extent.add(part);
+    return extent;
 }
 
 }  // namespace

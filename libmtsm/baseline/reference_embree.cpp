@@ -1,7 +1,6 @@
 #include "baseline/reference_embree.h"
 
 #include <embree3/rtcore.h>
-#include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <cmath>
@@ -11,6 +10,7 @@
 #include <vector>
 
 #include "base/message.h"
+#include "base/parallel.h"
 #include "base/sampling.h"
 #include "light/sample.h"
 
@@ -211,11 +211,11 @@ void EmbreeReference::shadowFactors(const AreaLight& light, const glm::dvec3* po
         }
         return total > 0.0 ? float(1.0 - visible / total) : 1.0f;
     };
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 64),
-                      [&](const tbb::blocked_range<std::size_t>& range) {
-                          for (std::size_t i = range.begin(); i < range.end(); ++i)
-                              out[i] = one(i);
-                      });
+    base::parallelRanges(std::size_t(0), count, std::size_t(64),
+                         [&](std::size_t begin, std::size_t end) {
+                             for (std::size_t i = begin; i < end; ++i)
+                                 out[i] = one(i);
+                         });
 }
 
 }  // namespace mtsm::baseline

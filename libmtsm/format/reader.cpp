@@ -4,9 +4,7 @@
 // them.
 #include "mtsm/reader.h"
 
-#include <tbb/blocked_range.h>
 #include <tbb/enumerable_thread_specific.h>
-#include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <atomic>
@@ -15,6 +13,7 @@
 #include "base/bytes.h"
 #include "base/checksum.h"
 #include "base/message.h"
+#include "base/parallel.h"
 #include "format/guard.h"
 #include "format/hierarchy.h"
 #include "format/map_file.h"
@@ -253,17 +252,18 @@ Status readTiles(const Source& source, const Prefix& prefix, const Index& index,
         }
         return {};
     };
-    tbb::parallel_for(
-        tbb::blocked_range<std::uint64_t>(0, index.tiles.size()), [&](const auto& range) {
-            Worker& worker = workers.local();
-            for (std::uint64_t i = range.begin(); i < range.end(); ++i) {
-                if (index.tiles[i].offset == 0 || firstError.isBehind(i)) continue;
-                if (const Status s = readTile(i, worker); !s)
-                    firstError.add(
-                        i, located(s.error(), source.name(), ": ", grid.place(i).text(),
-                                   " at offset ", index.tiles[i].offset, ": "));
-            }
-        });
+    const auto readTiles = [&](std::uint64_t begin, std::uint64_t end) {
+        Worker& worker = workers.local();
+        for (std::uint64_t i = begin; i < end; ++i) {
+            if (index.tiles[i].offset == 0 || firstError.isBehind(i)) continue;
+            if (const Status s = readTile(i, worker); !s)
+                firstError.add(
+                    i, located(s.error(), source.name(), ": ", grid.place(i).text(),
+                               " at offset ", index.tiles[i].offset, ": "));
+        }
+    };
+    base::parallelRanges(std::uint64_t(0), std::uint64_t(index.tiles.size()),
+                         std::uint64_t(1), readTiles);
     return firstError.status();
 }
 

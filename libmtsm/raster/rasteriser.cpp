@@ -1,12 +1,10 @@
 // Batches: transform and set up, sort into bins, draw the bins.
 #include "raster/rasteriser.h"
 
-#include <tbb/blocked_range.h>
-#include <tbb/parallel_for.h>
-
 #include <algorithm>
 #include <glm/geometric.hpp>
 
+#include "base/parallel.h"
 #include "raster/light_from_object.h"
 #include "raster/mesh_chunk.h"
 
@@ -60,20 +58,21 @@ Status Rasteriser::finish() {
 
 /// Fills the slices from where the triangles before left off.
 void Rasteriser::prepare(const MeshView& mesh, std::size_t first, std::uint32_t count) {
-    using Range = tbb::blocked_range<std::size_t>;
     const MeshChunk chunk(mesh, first, count);
     const LightFromObject lightFromObject(projection_, mesh.worldFromObject);
     const bool mirrored = mirrors(mesh.worldFromObject);
     const double origin2 = glm::dot(lightFromObject.origin, lightFromObject.origin);
     if (vertices_.size() < chunk.vertices()) vertices_.resize(chunk.vertices());
-    tbb::parallel_for(Range(0, chunk.vertices(), 1024), [&](const Range& range) {
-        for (std::size_t i = range.begin(); i < range.end(); ++i)
+    const auto prepareVertices = [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i)
             vertices_[i] = setup_.vertex(lightFromObject(chunk.position(i)));
-    });
+    };
+    base::parallelRanges(std::size_t(0), std::size_t(chunk.vertices()), std::size_t(1024),
+                         prepareVertices);
     const std::uint32_t end = pending_ + count;
     const std::uint32_t firstSlice = pending_ / kSliceTriangles;
     const std::uint32_t endSlice = (end + kSliceTriangles - 1) / kSliceTriangles;
-    tbb::parallel_for(firstSlice, endSlice, [&](std::uint32_t s) {
+    base::parallelFor(firstSlice, endSlice, [&](std::uint32_t s) {
         Slice& slice = slices_[s];
         const std::uint32_t from = std::max(pending_, s * kSliceTriangles);
         const std::uint32_t to = std::min(end, (s + 1) * kSliceTriangles);
@@ -149,10 +148,10 @@ void Rasteriser::drawInBin(const PreparedTriangle& t, PixelRect bin) const {
 }
 
 Status Rasteriser::flush() {
-    tbb::parallel_for(std::uint32_t(0), kSlices, [&](std::uint32_t s) {
+    base::parallelFor(std::uint32_t(0), kSlices, [&](std::uint32_t s) {
         if (slices_[s].taken) sortIntoBins(slices_[s]);
     });
-    tbb::parallel_for(std::uint32_t(0), binsX_ * binsY_,
+    base::parallelFor(std::uint32_t(0), binsX_ * binsY_,
                       [&](std::uint32_t bin) { drawBin(bin); });
     for (Slice& slice : slices_) {
         counts_.add(slice.counts);

@@ -1,14 +1,13 @@
 // shadow.h: single queries, batches, rays.
 #include "mtsm/shadow.h"
 
-#include <tbb/combinable.h>
-#include <tbb/parallel_for.h>
-
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
+#include <mutex>
 
 #include "base/message.h"
+#include "base/parallel.h"
 #include "shadow/query.h"
 
 namespace mtsm {
@@ -55,17 +54,17 @@ void shadowFactors(const ShadowMap& map, const AreaLight& light, const glm::dvec
                    const glm::dvec3* normals, std::size_t count, float* out,
                    const ShadowOptions& options, QueryStats* stats) noexcept {
     const shadow::Query query(map, light, options);
-    tbb::combinable<QueryStats> parts;
-    tbb::parallel_for(
-        tbb::blocked_range<std::size_t>(0, count, kPointsPerTask),
-        [&](const tbb::blocked_range<std::size_t>& range) {
-            QueryStats& part = parts.local();
-            for (std::size_t i = range.begin(); i < range.end(); ++i)
-                out[i] = query.shadowFactor(points[i],
-                                            normals ? normals[i] : glm::dvec3(0.0), part);
-        },
-        tbb::simple_partitioner{});
-    if (stats) parts.combine_each([&](const QueryStats& part) { add(*stats, part); });
+    std::mutex mutex;
+    const auto answer = [&](std::size_t begin, std::size_t end) {
+        QueryStats part;
+        for (std::size_t i = begin; i < end; ++i)
+            out[i] = query.shadowFactor(points[i], normals ? normals[i] : glm::dvec3(0.0),
+                                        part);
+        if (!stats) return;
+        const std::lock_guard lock(mutex);
+        add(*stats, part);
+    };
+    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
 }
 
 float visibility(const ShadowMap& map, const ShadowRay& ray,
@@ -88,13 +87,11 @@ float visibility(const ShadowMap& map, const ShadowRay& ray,
 
 void visibilities(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
                   float* out, const RayOptions& options) noexcept {
-    tbb::parallel_for(
-        tbb::blocked_range<std::size_t>(0, count, kPointsPerTask),
-        [&](const tbb::blocked_range<std::size_t>& range) {
-            for (std::size_t i = range.begin(); i < range.end(); ++i)
-                out[i] = visibility(map, rays[i], options);
-        },
-        tbb::simple_partitioner{});
+    const auto answer = [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i)
+            out[i] = visibility(map, rays[i], options);
+    };
+    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
 }
 
 }  // namespace mtsm
