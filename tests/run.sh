@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Installs the packages, builds with warnings as errors and runs every test: once plain, once with
-# the address and undefined behaviour sanitizers. Arguments go to ctest (tests/run.sh -L format).
+# the address and undefined behaviour sanitizers; then what is threaded with the thread sanitizer.
+# Arguments go to ctest (tests/run.sh -L format).
 #
 # Tests that use real meshes look for them in the folder that MTSM_TEST_DATA names and skip what
 # they do not find.
@@ -15,4 +16,8 @@ for preset in dev asan; do
     echo "=== $preset: test"
     ctest --preset "$preset" --parallel "$jobs" "$@"
 done
+echo "=== tsan: what is threaded"
+cmake --preset tsan >/dev/null
+cmake --build --preset tsan --parallel "$jobs" --target test_format test_raster test_bake test_shadow
+ctest --preset tsan --parallel "$jobs" -L '^(format|raster|bake|shadow)$' -E 'python|reader.py'
 echo "All tests passed, plain and with sanitizers."

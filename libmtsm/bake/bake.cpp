@@ -11,6 +11,7 @@
 #include "bake/visits.h"
 #include "base/message.h"
 #include "base/parallel.h"
+#include "base/utf8.h"
 #include "raster/kbuffer.h"
 #include "raster/memory_budget.h"
 #include "raster/rasteriser.h"
@@ -33,7 +34,7 @@ constexpr double kBiasFootprints = 1.0;
 Error tooLarge(const BakeOptions& o) {
     return makeError(ErrorCode::tooLarge, "a map of ", o.width, " x ", o.height,
                      " pixels with up to ", o.layers, " layers needs more than the ",
-                     o.maxBytes >> 20, " MiB of --max-memory: raise it, or lower ",
+                     o.maxBytes, " bytes of --max-memory: raise it, or lower ",
                      "--resolution or --layers");
 }
 
@@ -148,7 +149,7 @@ MapInfo describe(const BakeOptions& options, const Placement& placed) {
     info.maxLayers = options.layers;
     info.resets = kAllResets;
     info.software = "libmtsm " MTSM_VERSION;
-    info.settings = options.settings;
+    info.settings = base::asUtf8(options.settings);
     return info;
 }
 

@@ -8,7 +8,7 @@
 #include "base/bytes.h"
 #include "base/checksum.h"
 #include "base/message.h"
-#include "format/utf8.h"
+#include "base/utf8.h"
 
 namespace mtsm::format {
 namespace {
@@ -49,7 +49,8 @@ std::string_view asText(BytesView bytes) {
 }
 
 Status putText(ByteWriter& out, std::string_view text, const char* what) {
-    if (!isUtf8(text)) return makeError(ErrorCode::badArgument, what, " is not UTF-8");
+    if (!base::isUtf8(text))
+        return makeError(ErrorCode::badArgument, what, " is not UTF-8");
     if (text.size() > 0xffffffffu)
         return makeError(ErrorCode::badArgument, what, " has ", text.size(),
                          " bytes, more than 4294967295");
@@ -62,7 +63,7 @@ Status getText(ByteReader& in, std::string& text, const char* what) {
     const auto length = in.get<std::uint32_t>();
     const BytesView bytes = in.bytes(length);
     if (!in.ok()) return bad("the text \"", what, "\" reaches past the end");
-    if (!isUtf8(asText(bytes))) return bad("the text \"", what, "\" is not UTF-8");
+    if (!base::isUtf8(asText(bytes))) return bad("the text \"", what, "\" is not UTF-8");
     text = asText(bytes);
     return {};
 }
@@ -271,7 +272,7 @@ Status decodeValue(AttributeType type, BytesView bytes, Attribute& a) {
     ByteReader in(bytes);
     switch (type) {
         case AttributeType::text:
-            if (!isUtf8(asText(bytes)))
+            if (!base::isUtf8(asText(bytes)))
                 return bad("attribute \"", a.name, "\": the text is not UTF-8");
             a.value = std::string(asText(bytes));
             return {};
@@ -302,10 +303,10 @@ Result<Bytes> encodeAttributes(const std::vector<Attribute>& attributes) {
     out.put(std::uint32_t(0));
     for (const Attribute& a : attributes) {
         const auto* text = std::get_if<std::string>(&a.value);
-        if (!isUtf8(a.name))
+        if (!base::isUtf8(a.name))
             return makeError(ErrorCode::badArgument,
                              "the name of an attribute is not UTF-8");
-        if (text && !isUtf8(*text))
+        if (text && !base::isUtf8(*text))
             return makeError(ErrorCode::badArgument, "attribute \"", a.name,
                              "\": the text is not UTF-8");
         const Bytes value = valueBytes(a);
@@ -336,7 +337,7 @@ Result<std::vector<Attribute>> decodeAttributes(BytesView payload, const Prefix&
             return bad("attribute ", i, ": reserved bytes are not zero");
         Attribute a;
         a.name = asText(name);
-        if (a.name.empty() || !isUtf8(a.name))
+        if (a.name.empty() || !base::isUtf8(a.name))
             return bad("attribute ", i, ": the name is empty or not UTF-8");
         if (r.type > std::uint8_t(AttributeType::doubles)) {
             if (prefix.versionMinor > kVersionMinor) continue;  // a type of later days

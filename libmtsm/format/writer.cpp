@@ -4,16 +4,15 @@
 #include "mtsm/writer.h"
 
 #include <tbb/enumerable_thread_specific.h>
-#include <tbb/parallel_pipeline.h>
 #include <tbb/task_arena.h>
 
-#include <atomic>
 #include <bit>
-#include <memory>
+#include <vector>
 
 #include "base/bytes.h"
 #include "base/checksum.h"
 #include "base/message.h"
+#include "base/parallel.h"
 #include "format/guard.h"
 #include "format/header.h"
 #include "format/hierarchy.h"
@@ -29,6 +28,9 @@ namespace {
 using base::makeError;
 
 /// A block as it lies in the file, and what the index says of it.
+// Enough for the threads to even out; the memory of a batch stays in the megabytes.
+constexpr std::size_t kTilesPerThread = 16;
+
 struct Block {
     Bytes bytes;
     BlockHeader header = {};
@@ -131,44 +133,29 @@ class MapWriter {
 };
 
 Status MapWriter::putTiles() {
-    struct Encoded {
-        std::uint64_t tile = 0;
-        Block block;
-    };
     tbb::enumerable_thread_specific<TileEncoder> encoders(
         [&] { return TileEncoder(options_.codec, options_.level); });
-    const std::size_t inFlight =
-        4 * static_cast<std::size_t>(tbb::this_task_arena::max_concurrency());
-    std::uint64_t next = 0;
-    Status status;
-    std::atomic<bool> failed{false};
+    std::vector<std::uint64_t> batch;  // tiles that are encoded side by side
+    const auto mostTiles = kTilesPerThread * static_cast<std::size_t>(
+                                                 tbb::this_task_arena::max_concurrency());
+    std::vector<Block> blocks(mostTiles);
 
-    const auto takeNext = [&](tbb::flow_control& flow) -> std::uint64_t {
-        while (next < index_.tiles.size() && tile(next).empty())
-            ++next;
-        if (next < index_.tiles.size() && !failed) return next++;
-        flow.stop();
-        return 0;
-    };
-    const auto encode = [&](std::uint64_t i) -> std::shared_ptr<Encoded> {
-        const Bytes payload =
-            encoders.local().encode(tile(i), grid_.place(i), map_.info().channels);
-        return std::make_shared<Encoded>(
-            Encoded{i, makeBlock(kTile, kCritical, payload)});
-    };
-    const auto write = [&](const std::shared_ptr<Encoded>& e) {
-        if (failed) return;
-        status = putTile(e->tile, e->block);
-        failed = !status;
-    };
-    tbb::parallel_pipeline(
-        inFlight, tbb::make_filter<void, std::uint64_t>(tbb::filter_mode::serial_in_order,
-                                                        takeNext) &
-                      tbb::make_filter<std::uint64_t, std::shared_ptr<Encoded>>(
-                          tbb::filter_mode::parallel, encode) &
-                      tbb::make_filter<std::shared_ptr<Encoded>, void>(
-                          tbb::filter_mode::serial_in_order, write));
-    return status;
+    for (std::uint64_t next = 0; next < index_.tiles.size();) {
+        batch.clear();
+        for (; next < index_.tiles.size() && batch.size() < mostTiles; ++next) {
+            if (!tile(next).empty()) batch.push_back(next);
+        }
+        base::parallelFor(std::size_t(0), batch.size(), [&](std::size_t i) {
+            blocks[i] =
+                makeBlock(kTile, kCritical,
+                          encoders.local().encode(tile(batch[i]), grid_.place(batch[i]),
+                                                  map_.info().channels));
+        });
+        for (std::size_t i = 0; i < batch.size(); ++i) {
+            if (auto s = putTile(batch[i], blocks[i]); !s) return s;
+        }
+    }
+    return {};
 }
 
 Status checkOptions(const WriteOptions& options) {

@@ -1,9 +1,9 @@
-#include "format/utf8.h"
+#include "base/utf8.h"
 
 #include <cstddef>
 #include <cstdint>
 
-namespace mtsm::format {
+namespace mtsm::base {
 
 bool isUtf8(std::string_view text) noexcept {
     for (std::size_t i = 0; i < text.size();) {
@@ -36,4 +36,12 @@ bool isUtf8(std::string_view text) noexcept {
     return true;
 }
 
-}  // namespace mtsm::format
+std::string asUtf8(std::string text) {
+    if (isUtf8(text)) return text;
+    for (char& c : text) {
+        if (static_cast<unsigned char>(c) > 0x7f) c = '?';
+    }
+    return text;
+}
+
+}  // namespace mtsm::base
