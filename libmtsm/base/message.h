@@ -1,5 +1,6 @@
 // message.h - builds the one sentence of an Error.
 #pragma once
+#include <locale>
 #include <sstream>
 #include <string>
 #include <utility>
@@ -12,6 +13,7 @@ namespace mtsm::base {
 template <typename... Parts>
 std::string concat(const Parts&... parts) {
     std::ostringstream out;
+    out.imbue(std::locale::classic());  // the host's may group digits
     (out << ... << parts);
     return std::move(out).str();
 }

@@ -25,6 +25,9 @@ auto guarded(const std::string& name, const char* doing, Work&& work)
     } catch (const std::exception& e) {
         return base::makeError(ErrorCode::io, name, ": cannot ", doing,
                                " it: ", e.what());
+    } catch (...) {  // a callback's
+        return base::makeError(ErrorCode::io, name, ": cannot ", doing,
+                               " it: something unknown was thrown");
     }
 }
 

@@ -1,7 +1,9 @@
 // Shadow factors against closed forms. The maps are drawn pixel by pixel: a blocker whose
 // edge lies on pixel edges is exact in the map, so only the light's samples err.
 #include <tbb/global_control.h>
+#include <tbb/task_group.h>
 
+#include <algorithm>
 #include <catch2/catch.hpp>
 #include <cmath>
 #include <cstring>
@@ -279,6 +281,21 @@ TEST_CASE("a batch equals its single queries whatever the threads", "[shadow]") 
         CHECK(stats.behindLight == 1);
         CHECK(stats.rays > 0);
     }
+}
+
+TEST_CASE("a batch is answered whole even in a task group that was cancelled",
+          "[shadow]") {
+    const AreaLight light = lightOf(LightShape::disk, 0.3);
+    const ShadowMap map = mapWith(light, 64, [](glm::dvec2 q) { return q.x < 0; });
+    const std::vector<glm::dvec3> points(20000, receiver(-2));
+    std::vector<float> out(points.size(), -1.0f);
+    tbb::task_group group;
+    group.run_and_wait([&] {
+        group.cancel();
+        shadowFactors(map, light, points.data(), nullptr, points.size(), out.data(),
+                      samplesOf(1));
+    });
+    CHECK(std::count(out.begin(), out.end(), 1.0f) == std::ptrdiff_t(out.size()));
 }
 
 TEST_CASE("a point outside a clipped map's view is reported", "[shadow]") {
