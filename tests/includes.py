@@ -17,7 +17,7 @@ MAY_INCLUDE = {
     "format": {"base", "map"},
     "trace": {"base", "map"},
     "shadow": {"base", "map", "light", "trace"},
-    "bake": {"base", "map", "scene", "raster"},
+    "bake": {"base", "map", "light", "scene", "raster"},
     "io": {"base"},
     "baseline": {"base", "map", "light", "trace", "shadow", "scene", "raster"},
 }

@@ -28,7 +28,7 @@ using raster::KTile;
 using raster::MemoryBudget;
 using raster::Rasteriser;
 
-/// The default z threshold, in footprints of a pixel at the deepest layer.
+/// The default z threshold, in footprints of a pixel.
 constexpr double kBiasFootprints = 1.0;
 
 Error tooLarge(const BakeOptions& o) {
@@ -50,14 +50,19 @@ raster::Facing facing(Cull cull) {
     return raster::Facing::any;
 }
 
-/// Bytes that are needed whatever the casters are: tiles, and the map's hierarchy, which
-/// has less than 1/2 of a range per pixel.
+/// Bytes that are needed whatever the casters are: tiles, and the map's hierarchy.
 std::uint64_t fixedBytes(const BakeOptions& o) {
     const std::uint64_t side = KBuffer::kTileSize;
     const std::uint64_t tiles =
         ((o.width + side - 1) / side) * ((o.height + side - 1) / side);
-    return tiles * (sizeof(Tile) + sizeof(KTile)) +
-           std::uint64_t(o.width) * o.height * sizeof(ZRange) / 2;
+    std::uint64_t bytes = tiles * (sizeof(Tile) + sizeof(KTile));
+    std::uint64_t width = o.width, height = o.height;
+    while (width > 1 || height > 1) {
+        width = (width + 1) / 2;
+        height = (height + 1) / 2;
+        bytes += width * height * sizeof(ZRange);
+    }
+    return bytes;
 }
 
 /// Rasterises all casters. The report is complete but for its times.
@@ -109,35 +114,37 @@ Result<std::vector<Tile>> takeLayers(KBuffer& buffer, const Progress& progress,
     constexpr const char* kStage = "building map";
     std::vector<KTile>& from = buffer.tiles();
     std::vector<Tile> tiles(from.size());
-    std::vector<std::uint64_t> copies(from.size());
+    std::vector<std::uint64_t> samples(from.size()), dropped(from.size());
     const std::size_t row = buffer.tilesX();
     for (std::size_t first = 0; first < from.size(); first += row) {
         if (auto s = progress(kStage, double(first) / double(from.size())); !s)
             return s.error();
         base::parallelFor(first, first + row, [&](std::size_t i) {
             tiles[i] = bake_detail::layersOf(from[i]);
-            copies[i] = from[i].copies();
+            samples[i] = from[i].samples();
+            dropped[i] = samples[i] - tiles[i].z.size() - from[i].copies();
+            from[i].clear();
         });
         for (std::size_t i = first; i < first + row; ++i) {
-            info.samples += from[i].samples();
-            info.samplesDropped += from[i].samples() - tiles[i].z.size() - copies[i];
-            from[i].clear();
+            info.samples += samples[i];
+            info.samplesDropped += dropped[i];
         }
     }
     if (auto s = progress(kStage, 1.0); !s) return s.error();
     return tiles;
 }
 
-/// The default z threshold: a pixel's footprint at the deepest layer; 0 without layers.
-float defaultBias(const Projection& projection, const std::vector<Tile>& tiles) {
-    float deepest = 0.0f;
-    for (const Tile& t : tiles) {
-        for (const float z : t.z)
-            deepest = std::max(deepest, z);
-    }
-    if (deepest == 0.0f) return 0.0f;
-    const double bias = kBiasFootprints * projection.pixelFootprint(deepest);
-    return float(std::min(bias, double(std::numeric_limits<float>::max())));
+/// The z threshold: as asked, or a pixel's footprint at a layer's depth.
+void setBias(const BakeOptions& options, const Projection& projection, MapInfo& info) {
+    const double footprint = kBiasFootprints * projection.pixelFootprint(1.0);
+    const auto byPixel =
+        float(std::min(footprint, double(std::numeric_limits<float>::max())));
+    if (options.bias)
+        info.bias = *options.bias;
+    else if (projection.kind == ProjectionKind::perspective)
+        info.biasPerDepth = byPixel;
+    else
+        info.bias = byPixel;
 }
 
 MapInfo describe(const BakeOptions& options, const Placement& placed) {
@@ -173,7 +180,7 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
 
     auto tiles = takeLayers(buffer, progress, info);
     if (!tiles) return tiles.error();
-    info.bias = options.bias ? *options.bias : defaultBias(placed->projection, *tiles);
+    setBias(options, placed->projection, info);
     std::vector<MapFace> faces(1);
     faces[0].projection = placed->projection;
     faces[0].tiles = *std::move(tiles);
@@ -191,6 +198,8 @@ Result<Baked> bake(CasterSource& casters, const BakeOptions& options) {
         return tooLarge(options);
     } catch (const std::exception& e) {
         return makeError(ErrorCode::io, "the bake failed: ", e.what());
+    } catch (...) {  // a callback's
+        return makeError(ErrorCode::io, "the bake failed: something unknown was thrown");
     }
 }
 

@@ -8,6 +8,7 @@
 #include <limits>
 
 #include "base/message.h"
+#include "light/sample.h"
 #include "raster/triangle.h"
 
 namespace mtsm::bake_detail {
@@ -16,6 +17,9 @@ namespace {
 using base::concat;
 using base::makeError;
 
+/// Below, push-back takes the light so far away that float depths no longer tell layers
+/// apart.
+constexpr double kLeastFov = 0.01 / 180.0 * glm::pi<double>();
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 template <typename... Parts>
@@ -102,6 +106,16 @@ void centreWindow(Projection& p, double fov, glm::dvec2 pixels) {
     const double scale = 0.5 * std::max(pixels.x, pixels.y) / std::tan(0.5 * fov);
     p.scale = {scale, -scale};
     p.offset = 0.5 * pixels;
+}
+
+/// [Xie07, eq. 4]: the frustum of the light's centre, moved back until it holds the
+/// light. Its narrower side decides, and a sphere has to fit between its sides, not just
+/// at its middle.
+double pushBackFor(const AreaLight& light, double fov, glm::dvec2 pixels) {
+    const double tangent =
+        std::tan(0.5 * fov) * std::min(pixels.x, pixels.y) / std::max(pixels.x, pixels.y);
+    const bool sphere = light.shape == LightShape::sphere;
+    return lightRadius(light) / (sphere ? std::sin(std::atan(tangent)) : tangent);
 }
 
 /// [Xie07, eq. 4], kept where a float depth resolves a quarter of the footprint that a
@@ -206,10 +220,10 @@ Result<Placement> placeFinite(Visits& visits, const BakeOptions& options) {
     }
     auto forward = viewDirection(options, bounds);
     if (!forward) return forward.error();
-    orient(p, *forward, light.shape == LightShape::rect ? light.up : options.up);
     if (light.shape == LightShape::disk || light.shape == LightShape::rect)
-        light.direction = p.forward;
-    if (light.shape == LightShape::rect) light.up = p.up;
+        light.direction = *forward;
+    if (light.shape == LightShape::rect) light.up = light::rectFrame(light).y;
+    orient(p, *forward, light.shape == LightShape::rect ? light.up : options.up);
 
     // Depths in front of this count as at the light.
     const double atLight =
@@ -219,14 +233,12 @@ Result<Placement> placeFinite(Visits& visits, const BakeOptions& options) {
     double pushBack = 0.0;
     p.eye = light.position;
     if (options.fov) {
-        pushBack = radius / std::tan(0.5 * *options.fov);
+        pushBack = pushBackFor(light, *options.fov, pixelsOf(options));
     } else if (radius > 0.0) {
         auto seen = measure(visits, p, std::max(ahead, atLight), reach);
         if (!seen) return seen.error();
         if (seen->empty()) return allBehind(options);
-        const double tangent = std::sqrt(seen->radius2);
-        if (auto s = checkAngle(tangent); !s) return s.error();
-        pushBack = fittedPushBack(radius, tangent, seen->max.z,
+        pushBack = fittedPushBack(radius, std::sqrt(seen->radius2), seen->max.z,
                                   std::max(options.width, options.height));
     }
     p.eye = light.position - pushBack * p.forward;
@@ -291,9 +303,9 @@ Status checkOptions(const BakeOptions& o) {
         return invalid("--layers ", o.layers, " must be 1 to 64");
     if (o.fov && o.light.shape == LightShape::sun)
         return invalid("--fov: a sun's rays are parallel and have no field of view");
-    if (o.fov && !(*o.fov > 0.0 && *o.fov < glm::pi<double>()))
-        return invalid("--fov ", degrees(*o.fov),
-                       " degrees must be more than 0 and less than 180");
+    if (o.fov && !(*o.fov >= kLeastFov && *o.fov < glm::pi<double>()))
+        return invalid("--fov ", degrees(*o.fov), " degrees must be at least ",
+                       degrees(kLeastFov), " and less than 180");
     if (o.bias && !(*o.bias >= 0.0f && std::isfinite(*o.bias)))
         return invalid("--bias ", *o.bias, " must be finite and not negative");
     return checkDepths(o);

@@ -2,10 +2,11 @@
 //
 // Finite lights. The eye looks from the light to what options ask for and is pushed back
 // behind the light's centre by d = R / tan(fov / 2) [Xie07, eq. 4], so the light lies on
-// the plane z = d. With a given field of view the window is square, centred, and that
-// wide. Without, tan(fov / 2) is the largest tangent under which the light's centre sees
-// a caster, and the window is then fitted to the casters as the eye sees them. There, d
-// is kept small enough for a float depth to resolve a quarter of a pixel's footprint (the
+// the plane z = d (spheres: R / sin). With a given field of view the window is centred,
+// its pixels are square, its larger side is that wide and its smaller one decides d.
+// Without, tan(fov / 2) is the largest tangent under which the light's centre sees a
+// caster, and the window is then fitted to the casters as the eye sees them. There, d is
+// kept small enough for a float depth to resolve a quarter of a pixel's footprint (the
 // fitted window holds every caster whatever d is).
 //
 // near. What lies between the eye and the light is no caster: near is the light's plane,

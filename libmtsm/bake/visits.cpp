@@ -42,6 +42,7 @@ Status Visits::each(const MeshVisitor& visitor) {
     visitorSeconds_ = 0.0;
     std::uint64_t number = 0;
     std::exception_ptr thrown;
+    Status failed;  // of the first mesh that did, should the source not pass it on
     const Status status = casters_.visit([&](const MeshView& mesh) -> Status {
         const Clock::time_point begin = Clock::now();
         Status s;
@@ -53,11 +54,12 @@ Status Visits::each(const MeshVisitor& visitor) {
             s = makeError(ErrorCode::cancelled, "the visitor failed");
         }
         visitorSeconds_ += secondsSince(begin);
+        if (!s && failed) failed = s;
         return s;
     });
     readSeconds_ += secondsSince(start) - visitorSeconds_;
     if (thrown) std::rethrow_exception(thrown);
-    return status;
+    return failed ? status : failed;
 }
 
 }  // namespace mtsm::bake_detail

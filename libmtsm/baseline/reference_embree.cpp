@@ -176,14 +176,14 @@ void EmbreeReference::shadowFactors(const AreaLight& light, const glm::dvec3* po
                                     const glm::dvec3* normals, std::size_t count,
                                     float* out,
                                     const ReferenceOptions& options) const noexcept {
-    const light::LightSampler sampler(light, scene_->origin);
+    const light::LightSampler sampler(light);
     const double offset = options.offset * glm::length(scene_->high - scene_->low);
     const auto samples = sampler.isPoint()
                              ? 1u
                              : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
 
     const auto one = [&](std::size_t i) -> float {
-        const glm::dvec3 point = points[i] - scene_->origin;
+        const glm::dvec3 point = points[i];
         if (!(glm::dot(point, point) < HUGE_VAL) || sampler.isBehind(point)) return 0.0f;
         const double length = normals ? glm::length(normals[i]) : 0.0;
         const glm::dvec3 normal = length > 0.0 ? normals[i] / length : glm::dvec3(0.0);
@@ -205,7 +205,7 @@ void EmbreeReference::shadowFactors(const AreaLight& light, const glm::dvec3* po
                 offset * (length > 0.0 ? normal : sample.delta / reach);
             visible +=
                 weight * scene_->visibility(
-                             scene_->origin + point + start,
+                             point + start,
                              sample.delta - (sample.endless ? glm::dvec3(0.0) : start),
                              sample.endless);
         }

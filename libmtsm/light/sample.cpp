@@ -46,9 +46,9 @@ Frame rectFrame(const AreaLight& light) noexcept {
     return {glm::cross(y, n), y};
 }
 
-LightSampler::LightSampler(const AreaLight& light, glm::dvec3 origin) noexcept
+LightSampler::LightSampler(const AreaLight& light) noexcept
     : shape_(light.shape),
-      centre_(light.position - origin),
+      centre_(light.position),
       normal_(glm::normalize(light.direction)),
       radius_(light.radius) {
     Frame frame = makeFrame(normal_);

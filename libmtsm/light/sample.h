@@ -34,11 +34,10 @@ struct LightSample {
     double weight = 1.0;
 };
 
-/// An AreaLight ready to be sampled: axes made orthogonal and relative to `origin`.
+/// An AreaLight ready to be sampled.
 class LightSampler {
   public:
-    /// `origin` is what points are relative to in the calls below (the map's eye).
-    LightSampler(const AreaLight& light, glm::dvec3 origin) noexcept;
+    explicit LightSampler(const AreaLight& light) noexcept;
 
     /// Does nothing but one sample matter? True for points and for lights of no size.
     [[nodiscard]] bool isPoint() const noexcept { return isPoint_; }
@@ -47,7 +46,7 @@ class LightSampler {
     /// Uniform in area over the light (sphere: over the cap that p sees; sun: over the
     /// solid angle) for u uniform in the unit square.
     [[nodiscard]] LightSample sample(glm::dvec3 p, glm::dvec2 u) const noexcept;
-    /// Relative to `origin`; not for a sun.
+    /// Not for a sun.
     [[nodiscard]] glm::dvec3 centre() const noexcept { return centre_; }
     [[nodiscard]] LightShape shape() const noexcept { return shape_; }
 

@@ -67,6 +67,7 @@ Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
             for (std::uint32_t tx = 0; tx < map.tilesX_; ++tx) {
                 if (auto s = map.checkTile(face, tx, ty); !s) return s.error();
                 map.layerCount_ += map.tile(face, tx, ty).z.size();
+                map.isOpaque_ = map.isOpaque_ && map.tile(face, tx, ty).v.empty();
             }
         }
     }
@@ -88,8 +89,10 @@ Status ShadowMap::checkShape() const {
     if (faces_.size() != 1 && faces_.size() != 6)
         return invalid(faces_.size(), " faces: must be 1 or 6");
     if (auto s = checkLight(i.light); !s) return s;
-    if (!(i.bias >= 0.0f && std::isfinite(i.bias)))
-        return invalid("bias ", i.bias, " must be finite and not negative");
+    for (float bias : {i.bias, i.biasPerDepth}) {
+        if (!(bias >= 0.0f && std::isfinite(bias)))
+            return invalid("bias ", bias, " must be finite and not negative");
+    }
     for (float tolerance : {i.toleranceAsked, i.toleranceReached}) {
         if (!(tolerance >= 0.0f && tolerance <= 1.0f))
             return invalid("tolerance ", tolerance, " must be in [0, 1]");
@@ -299,8 +302,8 @@ bool same(const MapInfo& a, const MapInfo& b) {
     }
     return a.width == b.width && a.height == b.height && a.tileSize == b.tileSize &&
            a.channels == b.channels && same(a.light, b.light) && same(a.bias, b.bias) &&
-           a.maxLayers == b.maxLayers && a.resets == b.resets &&
-           same(a.toleranceAsked, b.toleranceAsked) &&
+           same(a.biasPerDepth, b.biasPerDepth) && a.maxLayers == b.maxLayers &&
+           a.resets == b.resets && same(a.toleranceAsked, b.toleranceAsked) &&
            same(a.toleranceReached, b.toleranceReached) &&
            same(a.metresPerUnit, b.metresPerUnit) &&
            a.castersClipped == b.castersClipped && a.samples == b.samples &&

@@ -73,10 +73,11 @@ struct TriangleNormal {
 
     TriangleNormal(glm::dvec3 a, glm::dvec3 b, glm::dvec3 c, double origin2) noexcept {
         constexpr double kRounding = 4.0 * 0x1p-52;
-        const glm::dvec3 ab = b - a, ac = c - a;
+        const glm::dvec3 ab = b - a, ac = c - a, bc = c - b;
         normal = glm::cross(ab, ac);
-        const double edge2 = glm::dot(ab, ab) + glm::dot(ac, ac);
-        const double size2 = glm::dot(a, a) + edge2 + origin2;
+        const double edge2 = glm::dot(ab, ab) + glm::dot(ac, ac) + glm::dot(bc, bc);
+        const double size2 =
+            std::max({glm::dot(a, a), glm::dot(b, b), glm::dot(c, c)}) + origin2;
         hasArea = glm::dot(normal, normal) > kRounding * kRounding * size2 * edge2;
     }
 };

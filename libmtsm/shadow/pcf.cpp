@@ -20,7 +20,7 @@ float Query::filtered(const Receiver& receiver,
         const ZRange range = map_.zRange(face);
         if (range.empty()) continue;
         const Projection& p = map_.projection(face);
-        const glm::dvec3 point = p.lightFromWorldDirection(receiver.point);
+        const glm::dvec3 point = p.lightFromWorld(receiver.point);
         const glm::dvec3 delta = p.lightFromWorldDirection(sample.delta);
         if (!(point.z > range.min) || !(delta.z < 0.0))
             continue;  // nothing is in front of it
@@ -33,19 +33,18 @@ float Query::filtered(const Receiver& receiver,
         const auto x = std::uint32_t(r.x), y = std::uint32_t(r.y);
 
         // Everything in front of the point along the centre ray, but for its own surface.
-        const trace::Span inFront{0.0, receiver.hasNormal ? point.z : point.z - bias_};
-        trace::Span counted;
-        if (receiver.hasNormal) counted = trace::clipToPlane(p, receiver.plane, x, y);
-        if (inFront.empty() || counted.empty()) continue;
-        trace::TraceOptions options;
-        options.threshold = options_.threshold;
-        options.attenuation = options_.attenuation;
-        std::array<double, 3> visible{1.0, 1.0, 1.0};
+        trace::PixelCrossing inFront;
+        inFront.zExit = receiver.hasNormal ? point.z : point.z - receiver.bias;
+        if (receiver.hasNormal)
+            inFront.counted = trace::clipToPlane(p, receiver.plane, x, y);
+        if (!(inFront.zExit > 0.0) || inFront.counted.empty()) continue;
+        trace::RayState state;
         if (trace::attenuate(map_.pixel(face, x, y), map_.info().channels, inFront,
-                             counted, options, visible))
+                             traceOptions(receiver), state))
             return 0.0f;
-        return mean({float(visible[0]), float(visible[1]), float(visible[2])},
-                    map_.info().channels);
+        return mean(
+            {float(state.visible[0]), float(state.visible[1]), float(state.visible[2])},
+            map_.info().channels);
     }
     return 1.0f;
 }

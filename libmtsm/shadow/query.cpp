@@ -19,11 +19,18 @@ float mean(const trace::ChannelVisibility& v, std::uint32_t channels) noexcept {
     return channels == 3 ? (v[0] + v[1] + v[2]) / 3.0f : v[0];
 }
 
+trace::ZBias biasOf(const ShadowMap& map, float asked) noexcept {
+    if (asked >= 0.0f && std::isfinite(asked)) return {asked, 0.0};
+    return {map.info().bias, map.info().biasPerDepth};
+}
+
+double thresholdOf(float asked) noexcept {
+    return asked >= 0.0f ? std::min(asked, std::nextafter(1.0f, 0.0f)) : 0.0;
+}
+
 Query::Query(const ShadowMap& map, const AreaLight& light,
              const ShadowOptions& options) noexcept
-    : map_(map), light_(light, map.projection(0).eye), options_(options) {
-    bias_ = options.bias >= 0.0f && std::isfinite(options.bias) ? options.bias
-                                                                : map.info().bias;
+    : map_(map), light_(light), options_(options), bias_(biasOf(map, options.bias)) {
     samples_ = light_.isPoint()
                    ? 1u
                    : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
@@ -36,22 +43,23 @@ float Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
         ++stats.notFinite;
         return 0.0f;
     }
-    Receiver receiver;
-    receiver.point = point - map_.projection(0).eye;
-    if (light_.isBehind(receiver.point)) {
+    if (light_.isBehind(point)) {
         ++stats.behindLight;
         return 0.0f;
     }
-    if (map_.info().castersClipped && mayBeTruncated(receiver.point))
-        ++stats.mayBeTruncated;
+    if (map_.info().castersClipped && mayBeTruncated(point)) ++stats.mayBeTruncated;
 
-    const double length = glm::length(normal);
-    if (length > 0.0 && std::isfinite(length)) {
+    Receiver receiver;
+    receiver.point = point;
+    const Projection& p = map_.projection(0);
+    receiver.bias = bias_.at(glm::dot(p.forward, point - p.eye));
+    // Scaled first: the square of a length may overflow or vanish.
+    const double size =
+        std::max({std::abs(normal.x), std::abs(normal.y), std::abs(normal.z)});
+    if (size > 0.0 && finite(normal)) {
         receiver.hasNormal = true;
-        receiver.normal = normal / length;
-        const double z = glm::dot(map_.projection(0).forward, receiver.point);
-        receiver.plane = {receiver.point, receiver.normal,
-                          kPlaneHeight * map_.projection(0).pixelFootprint(std::abs(z))};
+        receiver.normal = glm::normalize(normal / size);
+        receiver.plane = {point, receiver.normal, kPlaneHeight};
     }
     return blocked(receiver, base::pointKey(point, options_.seed), stats);
 }
@@ -62,6 +70,7 @@ float Query::blocked(const Receiver& receiver, std::uint64_t key,
     const base::SquareSequence sequence(key);
     const bool cosine = options_.weight == Weight::cosine && receiver.hasNormal;
     double visible = 0.0, total = 0.0;
+    bool above = false;
     for (std::uint32_t i = 0; i < samples_; ++i) {
         const glm::dvec2 u = light_.isPoint() ? glm::dvec2(0.5) : sequence(i);
         const light::LightSample sample = light_.sample(receiver.point, u);
@@ -74,13 +83,15 @@ float Query::blocked(const Receiver& receiver, std::uint64_t key,
         // direction.
         if (!(weight >= 0.0)) weight = 0.0;
         total += weight;
+        above = above || towards > 0.0;
         if (!(towards > 0.0) || weight == 0.0) continue;  // below the horizon: blocked
         ++stats.rays;
         visible +=
             weight * (options_.method == ShadowMethod::pcf ? filtered(receiver, sample)
                                                            : traced(receiver, sample));
     }
-    if (!(total > 0.0)) return 1.0f;
+    // All weights may vanish in the distance; below the horizon all is dark.
+    if (!(total > 0.0)) return above ? 0.0f : 1.0f;
     return static_cast<float>(std::clamp(1.0 - visible / total, 0.0, 1.0));
 }
 
@@ -90,18 +101,21 @@ float Query::traced(const Receiver& receiver,
     ray.origin = receiver.point;
     ray.delta = sample.delta;
     if (sample.endless) ray.tEnd = HUGE_VAL;
-    trace::TraceOptions options;
-    options.threshold = options_.threshold;
-    options.attenuation = options_.attenuation;
-    if (receiver.hasNormal) {
-        options.plane = &receiver.plane;
-    } else {
+    if (!receiver.hasNormal) {
         const double length = glm::length(sample.delta);
         if (!(length > 0.0)) return 1.0f;
-        ray.tBegin = kStartBiases * bias_ / length;
-        options.bias = bias_;
+        ray.tBegin = kStartBiases * receiver.bias / length;
     }
-    return mean(trace::traceRay(map_, ray, options), map_.info().channels);
+    return mean(trace::traceRay(map_, ray, traceOptions(receiver)), map_.info().channels);
+}
+
+trace::TraceOptions Query::traceOptions(const Receiver& receiver) const noexcept {
+    trace::TraceOptions options;
+    options.bias = bias_;
+    options.threshold = thresholdOf(options_.threshold);
+    options.attenuation = options_.attenuation;
+    if (receiver.hasNormal) options.plane = &receiver.plane;
+    return options;
 }
 
 /// Is the point outside the view from the light's centre, with the window that the map
@@ -109,9 +123,9 @@ float Query::traced(const Receiver& receiver,
 bool Query::mayBeTruncated(glm::dvec3 point) const noexcept {
     if (map_.faceCount() > 1) return false;
     const Projection& p = map_.projection(0);
-    glm::dvec3 q = p.lightFromWorldDirection(point);
+    glm::dvec3 q = p.lightFromWorld(point);
     if (p.kind == ProjectionKind::perspective) {
-        q -= p.lightFromWorldDirection(light_.centre());
+        q -= p.lightFromWorld(light_.centre());
         if (!(q.z > 0.0)) return true;
     }
     const glm::dvec2 r = p.rasterFromLight(q);

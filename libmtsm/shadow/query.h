@@ -10,14 +10,19 @@
 
 namespace mtsm::shadow {
 
-// The receiver's own surface, told from its blockers in two ways. Both numbers are
+// The receiver's own surface, told from its blockers in two ways. The numbers are
 // measured (tests/bench/NOTES.md): lower ones leave acne, higher ones lose contact
 // shadows.
 /// With a normal: layers that lie no higher than this above the tangent plane are the
-/// receiver's own. In pixel footprints at the receiver's depth.
+/// receiver's own. In pixel footprints at the layer's depth.
 inline constexpr double kPlaneHeight = 0.3;
 /// Without: rays start this many biases from the receiver.
 inline constexpr double kStartBiases = 5.0;
+
+/// What a map's layers are thickened by, unless the query says otherwise (`asked` >= 0).
+[[nodiscard]] trace::ZBias biasOf(const ShadowMap& map, float asked) noexcept;
+/// A threshold that queries accept, whatever was asked for.
+[[nodiscard]] double thresholdOf(float asked) noexcept;
 
 /// Whatever stays the same for all points of a series of queries.
 class Query {
@@ -31,10 +36,11 @@ class Query {
 
   private:
     struct Receiver {
-        glm::dvec3 point;   // relative to the eye
+        glm::dvec3 point;
         glm::dvec3 normal;  // unit, if hasNormal
         bool hasNormal = false;
         trace::ReceiverPlane plane;
+        double bias = 0.0;  // at the receiver's depth
     };
     [[nodiscard]] float blocked(const Receiver& receiver, std::uint64_t key,
                                 QueryStats& stats) const noexcept;
@@ -42,12 +48,14 @@ class Query {
                                const light::LightSample& sample) const noexcept;
     [[nodiscard]] float filtered(const Receiver& receiver,
                                  const light::LightSample& sample) const noexcept;
+    [[nodiscard]] trace::TraceOptions traceOptions(
+        const Receiver& receiver) const noexcept;
     [[nodiscard]] bool mayBeTruncated(glm::dvec3 point) const noexcept;
 
     const ShadowMap& map_;
     light::LightSampler light_;
     ShadowOptions options_;
-    double bias_ = 0.0;
+    trace::ZBias bias_;
     std::uint32_t samples_ = 1;
 };
 

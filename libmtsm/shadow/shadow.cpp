@@ -17,10 +17,6 @@ using base::makeError;
 
 constexpr std::size_t kPointsPerTask = 256;
 
-double biasOr(float asked, const ShadowMap& map) {
-    return asked >= 0.0f && std::isfinite(asked) ? asked : map.info().bias;
-}
-
 void add(QueryStats& total, const QueryStats& part) {
     total.points += part.points;
     total.rays += part.rays;
@@ -69,18 +65,17 @@ void shadowFactors(const ShadowMap& map, const AreaLight& light, const glm::dvec
 
 float visibility(const ShadowMap& map, const ShadowRay& ray,
                  const RayOptions& options) noexcept {
-    const glm::dvec3 origin = ray.origin - map.projection(0).eye;
-    const double sum =
-        glm::dot(origin, glm::dvec3(1.0)) + glm::dot(ray.direction, glm::dvec3(1.0));
-    if (!std::isfinite(sum) || !(ray.length > 0.0) || !(glm::length(ray.direction) > 0.0))
-        return 1.0f;
+    const auto finite = [](glm::dvec3 v) {
+        return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z);
+    };
+    if (!finite(ray.origin) || !finite(ray.direction) || !(ray.length > 0.0)) return 1.0f;
     trace::Ray traced;
-    traced.origin = origin;
+    traced.origin = ray.origin;
     traced.delta = ray.direction;
     traced.tEnd = ray.length;
     trace::TraceOptions traceOptions;
-    traceOptions.bias = biasOr(options.bias, map);
-    traceOptions.threshold = options.threshold;
+    traceOptions.bias = shadow::biasOf(map, options.bias);
+    traceOptions.threshold = shadow::thresholdOf(options.threshold);
     traceOptions.attenuation = options.attenuation;
     return shadow::mean(trace::traceRay(map, traced, traceOptions), map.info().channels);
 }

@@ -1,10 +1,18 @@
 // traverse.h - one ray through a map: the definition that faster kernels are tested
 // against.
 //
-// The ray is given relative to the map's eye in world axes: points o + t d for t in
-// [tBegin, tEnd). Of every pixel that it crosses it meets the samples whose depth lies
-// within the depths at which it enters and leaves, widened by the bias on both sides
-// [Xie07, sec. 4.3].
+// A ray is the points o + t d, t in [tBegin, tEnd], of world space. Of every pixel that
+// it crosses it meets the samples whose depth lies within the depths at which it enters
+// and leaves, widened on both sides by the bias [Xie07, sec. 4.3].
+//
+// Why the bias: a pixel's layer is one sample of a surface that may be tilted. Where the
+// surface's depth changes more from pixel to pixel than the ray's, the ray is behind the
+// layer of one pixel and in front of that of the next without ever being at the depth of
+// either: without a bias it would slip through. And because a ray that changes pixels
+// close to a sheet then meets two of its layers, as many samples of the next pixel as it
+// met close to where it left the last one are not met again: a half-transparent sheet is
+// paid for once. (Media, whose samples in neighbouring pixels have nothing to do with
+// each other, want a bias of 0: then only exact crossings count.)
 #pragma once
 #include <array>
 #include <cmath>
@@ -16,23 +24,31 @@
 namespace mtsm::trace {
 
 struct Ray {
-    glm::dvec3 origin{0.0};  ///< relative to the eye, world axes; finite
+    glm::dvec3 origin{0.0};  ///< world; finite
     glm::dvec3 delta{0.0};   ///< finite; zero is clear
     double tBegin = 0.0;
     double tEnd = 1.0;  ///< may be infinite
 };
 
+/// The z threshold at depth z is base + perDepth * z; world units.
+struct ZBias {
+    double base = 0.0, perDepth = 0.0;  ///< >= 0
+    [[nodiscard]] double at(double z) const noexcept {
+        return base + perDepth * std::abs(z);
+    }
+};
+
 /// A half-space outside which layers do not count: those of the receiver's own surface. A
-/// layer, taken at the centre of its pixel, counts if it lies more than `height` above
-/// the plane.
+/// layer, taken at the centre of its pixel, counts if it lies more than `height` pixel
+/// footprints (at the layer's depth) above the plane.
 struct ReceiverPlane {
-    glm::dvec3 point{0.0};   ///< relative to the eye, world axes
+    glm::dvec3 point{0.0};   ///< world
     glm::dvec3 normal{0.0};  ///< unit
-    double height = 0.0;     ///< world units
+    double height = 0.0;
 };
 
 struct TraceOptions {
-    double bias = 0.0;       ///< z threshold, world units, >= 0
+    ZBias bias;
     double threshold = 0.0;  ///< stop when no channel has more visibility left than this
     Attenuation attenuation = Attenuation::multiply;
     const ReceiverPlane* plane = nullptr;  ///< null: every layer counts
@@ -52,14 +68,25 @@ struct Span {
     [[nodiscard]] bool empty() const noexcept { return !(low <= high); }
 };
 
-/// Takes from `visible` what one pixel's samples take from a ray that crosses the depths
-/// `crossed` there; true if the ray is now at or below the threshold. A layer of no
-/// visibility blocks if it lies within options.bias of `crossed`. Of the others only the
-/// samples within `crossed` itself take their share: a ray that changes pixels near such
-/// a layer would else pay for it in both. Layers outside `counted` do not count.
-bool attenuate(const PixelLayers& pixel, std::uint32_t channels, Span crossed,
-               Span counted, const TraceOptions& options,
-               std::array<double, 3>& visible) noexcept;
+/// A ray on its way through one pixel.
+struct PixelCrossing {
+    double zEnter = 0.0, zExit = 0.0;
+    double bias = 0.0;  ///< z threshold there
+    Span counted;       ///< layers outside do not count
+};
+
+/// What a ray has left, and how many samples of sheets it has paid for close to where it
+/// left a pixel.
+struct RayState {
+    std::array<double, 3> visible{1.0, 1.0, 1.0};
+    std::uint64_t open = 0;
+};
+
+/// Takes from the ray what one pixel's samples take; true if it is now at or below the
+/// threshold.
+bool attenuate(const PixelLayers& pixel, std::uint32_t channels,
+               const PixelCrossing& crossing, const TraceOptions& options,
+               RayState& state) noexcept;
 
 /// The depths on the centre ray of pixel (x, y) that lie above the plane.
 [[nodiscard]] Span clipToPlane(const Projection& projection, const ReceiverPlane& plane,

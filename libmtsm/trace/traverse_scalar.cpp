@@ -6,8 +6,7 @@
 // A column boundary u = i is the zero of X - i H, so the t of every crossing comes from
 // one division, and the depth there is linear light-space depth: no z is ever taken from
 // a projected coordinate (sec. 6.1 asks for that). Neighbouring pixels share the t of
-// their boundary, so the depth intervals of a ray's pixels tile its whole range: nothing
-// slips between two pixels, nothing is met twice.
+// their boundary, so the depth intervals of a ray's pixels tile its whole range.
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
@@ -65,10 +64,10 @@ Crossing cross(Interval i, Linear f) noexcept {
 class Traversal {
   public:
     Traversal(const ShadowMap& map, std::uint32_t face, const Ray& ray,
-              const TraceOptions& options, std::array<double, 3>& visible)
-        : map_(map), face_(face), options_(options), visible_(visible) {
+              const TraceOptions& options, RayState& state)
+        : map_(map), face_(face), options_(options), state_(state) {
         const Projection& p = map.projection(face);
-        const glm::dvec3 o = p.lightFromWorldDirection(ray.origin);
+        const glm::dvec3 o = p.lightFromWorld(ray.origin);
         const glm::dvec3 d = p.lightFromWorldDirection(ray.delta);
         z_ = {o.z, d.z};
         h_ = p.kind == ProjectionKind::perspective ? z_ : Linear{1.0, 0.0};
@@ -83,9 +82,10 @@ class Traversal {
         if (range.empty()) return false;
         // A little wider, so that a face whose layers share one depth leaves an interval;
         // and H stays positive even if the bias reaches behind the eye.
+        const double widest = options_.bias.at(range.max);
         const double nearest =
-            std::max(range.min * (1.0 - 0x1p-20) - options_.bias, range.min * 0x1p-10);
-        const double farthest = range.max * (1.0 + 0x1p-20) + options_.bias;
+            std::max(range.min * (1.0 - 0x1p-20) - widest, range.min * 0x1p-10);
+        const double farthest = range.max * (1.0 + 0x1p-20) + widest;
         t = clip(t, z_ - Linear{nearest, 0.0});
         t = clip(t, Linear{farthest, 0.0} - z_);
         t = clip(t, x_);
@@ -100,16 +100,16 @@ class Traversal {
     /// trace(node, ray) of the paper: children are visited in the order in which the ray
     /// meets them, up to three of the four.
     bool visit(std::uint32_t level, std::uint32_t x, std::uint32_t y, Interval t) {
-        // The end is open: a sample at the very depth where the ray changes pixels is met
-        // once.
-        const double zEnter = z_.at(t.begin),
-                     zExit = std::nextafter(z_.at(t.end), zEnter);
+        const double zEnter = z_.at(t.begin), zExit = z_.at(t.end);
         const double zLow = std::min(zEnter, zExit), zHigh = std::max(zEnter, zExit);
+        const double bias = options_.bias.at(zHigh);
         const ZRange range = map_.zRange(face_, level, x, y);
+        // Sheets that let light through are followed a little beyond the bias: see
+        // attenuate.
+        const double reach = map_.isOpaque() ? bias : 2.0 * bias;
         // Also true for an empty node, whose range is (+inf, -inf).
-        if (!(range.min - options_.bias <= zHigh && range.max + options_.bias >= zLow))
-            return false;
-        if (level == 0) return meet(x, y, zLow, zHigh);
+        if (!(range.min <= zHigh + reach && range.max >= zLow - reach)) return false;
+        if (level == 0) return meet(x, y, t, {zEnter, zExit, bias, {}});
 
         const std::uint32_t half = 1u << (level - 1);
         const double xMiddle = double((2 * x + 1) * half),
@@ -131,26 +131,32 @@ class Traversal {
     }
 
     /// intersect(node, ray) of the paper, for one pixel.
-    bool meet(std::uint32_t x, std::uint32_t y, double zLow, double zHigh) {
-        Span counted;
+    bool meet(std::uint32_t x, std::uint32_t y, Interval t, PixelCrossing crossing) {
+        if (t.begin != tLeft_)
+            state_.open = 0;  // not straight from a pixel with layers near by
+        tLeft_ = t.end;
         if (options_.plane) {
-            counted = clipToPlane(map_.projection(face_), *options_.plane, x, y);
-            if (counted.empty()) return false;
+            crossing.counted = clipToPlane(map_.projection(face_), *options_.plane, x, y);
+            if (crossing.counted.empty()) {
+                state_.open = 0;
+                return false;
+            }
         }
-        return attenuate(map_.pixel(face_, x, y), map_.info().channels, {zLow, zHigh},
-                         counted, options_, visible_);
+        return attenuate(map_.pixel(face_, x, y), map_.info().channels, crossing,
+                         options_, state_);
     }
 
     const ShadowMap& map_;
     std::uint32_t face_;
     const TraceOptions& options_;
-    std::array<double, 3>& visible_;
+    RayState& state_;
+    double tLeft_ = -HUGE_VAL;  // where the ray left the pixel that it met last
     Linear x_, y_, h_, z_;
 };
 
 /// How many of the n samples at a + j (b - a) / n, j = 1..n, lie in [low, high].
-std::uint32_t samplesWithin(double a, double b, std::uint32_t n, double low,
-                            double high) {
+std::uint32_t samplesWithin(double a, double b, std::uint32_t n, Span span) {
+    const auto [low, high] = span;
     if (low > b || high <= a) {
         // Samples that coincide with the layer in front (a = b) are met at that depth.
         return a == b && low <= b && high >= b ? n : 0;
@@ -166,14 +172,23 @@ std::uint32_t samplesWithin(double a, double b, std::uint32_t n, double low,
 
 }  // namespace
 
-bool attenuate(const PixelLayers& pixel, std::uint32_t channels, Span crossed,
-               Span counted, const TraceOptions& options,
-               std::array<double, 3>& visible) noexcept {
-    const auto within = [&](double bias) {
-        return Span{std::max(crossed.low - bias, counted.low),
-                    std::min(crossed.high + bias, counted.high)};
+bool attenuate(const PixelLayers& pixel, std::uint32_t channels,
+               const PixelCrossing& crossing, const TraceOptions& options,
+               RayState& state) noexcept {
+    const auto around = [&](double low, double high, double reach) {
+        return Span{std::max(low - reach, crossing.counted.low),
+                    std::min(high + reach, crossing.counted.high)};
     };
-    const Span thick = within(options.bias), exact = within(0.0);
+    const double zLow = std::min(crossing.zEnter, crossing.zExit);
+    const double zHigh = std::max(crossing.zEnter, crossing.zExit);
+    const Span met = around(zLow, zHigh, crossing.bias);
+    // A sheet may step by the bias and more from pixel to pixel: the layers that may be
+    // those of a sheet already paid for lie within twice the bias of where the ray
+    // changes pixels.
+    const double step = 2.0 * crossing.bias;
+    const Span entered = around(crossing.zEnter, crossing.zEnter, step);
+    const Span left = around(crossing.zExit, crossing.zExit, step);
+    const Span near = around(zLow, zHigh, step);
     const auto visibility = [&](std::uint32_t layer, std::uint32_t c) -> double {
         return pixel.v ? pixel.v[c * pixel.vStride + layer] : 0.0f;
     };
@@ -184,51 +199,65 @@ bool attenuate(const PixelLayers& pixel, std::uint32_t channels, Span crossed,
         return true;
     };
 
-    // The first layer that is not wholly in front of the interval.
+    std::uint64_t paid = state.open;
+    state.open = 0;
+    // The first layer that is not wholly in front.
     const auto begin = std::uint32_t(
-        std::lower_bound(pixel.z, pixel.z + pixel.count, thick.low,
+        std::lower_bound(pixel.z, pixel.z + pixel.count, near.low,
                          [](float z, double value) { return double(z) < value; }) -
         pixel.z);
+    bool restart = begin == 0 || isDark(begin - 1);
     for (std::uint32_t i = begin; i < pixel.count; ++i) {
-        const double zBefore = i > 0 ? pixel.z[i - 1] : pixel.z[0];
-        if (zBefore > thick.high) break;
-        const Span& span = isDark(i) ? thick : exact;
+        const double z = pixel.z[i], zBefore = i > 0 ? pixel.z[i - 1] : z;
+        if (zBefore > near.high) break;
         const std::uint32_t n = pixel.n ? pixel.n[i] : 1;
-        const std::uint32_t met =
-            samplesWithin(zBefore, pixel.z[i], n, span.low, span.high);
-        if (met == 0) continue;
-
-        const bool restart = i == 0 || isDark(i - 1);
-        const double share = double(met) / n;
+        std::uint32_t count = samplesWithin(zBefore, z, n, met);
+        const bool last = count > 0 && z <= met.high;  // the sample at z itself is met
+        const bool opaque = isDark(i);
+        if (!opaque) {
+            // Samples of sheets that were paid for in the pixel before, met here or not.
+            const auto known =
+                std::min<std::uint64_t>(paid, samplesWithin(zBefore, z, n, entered));
+            paid -= known;
+            state.open += std::min<std::uint64_t>(std::max<std::uint64_t>(known, count),
+                                                  samplesWithin(zBefore, z, n, left));
+            count -= std::min(count, std::uint32_t(known));
+        }
+        const double share = double(count) / n;
         bool dark = true;
         for (std::uint32_t c = 0; c < channels; ++c) {
             const double v = visibility(i, c),
                          before = restart ? 1.0 : visibility(i - 1, c);
-            if (options.attenuation == Attenuation::subtract) {
-                visible[c] = std::max(0.0, visible[c] - (before - v) * share);  // eq. 3
-            } else if (v <= 0.0) {
-                visible[c] = 0.0;
-            } else if (v < before) {
-                visible[c] *= met == n ? v / before : std::pow(v / before, share);
+            double& remaining = state.visible[c];
+            if (v <= 0.0 && last && count > 0) {
+                remaining =
+                    0.0;  // of a layer that ends dark, the last sample is what blocks
+            } else if (options.attenuation == Attenuation::subtract) {
+                remaining = std::max(0.0, remaining - (before - v) * share);  // eq. 3
+            } else if (count > 0 && v > 0.0 && v < before) {
+                remaining *= count == n ? v / before : std::pow(v / before, share);
             }
-            dark = dark && visible[c] <= options.threshold;
+            dark = dark && remaining <= options.threshold;
         }
         if (dark) return true;
+        restart = opaque;
     }
     return false;
 }
 
 Span clipToPlane(const Projection& projection, const ReceiverPlane& plane,
                  std::uint32_t x, std::uint32_t y) noexcept {
-    // A point at depth z on the centre ray lies a z + b above the plane.
+    // A point at depth z on the centre ray lies a z + b above what counts as the plane,
+    // which rises with the footprint: with z for a perspective projection.
     const glm::dvec3 n = projection.lightFromWorldDirection(plane.normal);
-    const glm::dvec3 p = projection.lightFromWorldDirection(plane.point);
+    const glm::dvec3 p = projection.lightFromWorld(plane.point);
     const glm::dvec2 centre =
         (glm::dvec2(x + 0.5, y + 0.5) - projection.offset) / projection.scale;
     const double across = n.x * centre.x + n.y * centre.y;
+    const double height = plane.height * projection.pixelFootprint(1.0);
     const bool perspective = projection.kind == ProjectionKind::perspective;
-    const double a = perspective ? n.z + across : n.z;
-    const double b = (perspective ? 0.0 : across) - glm::dot(n, p) - plane.height;
+    const double a = perspective ? n.z + across - height : n.z;
+    const double b = (perspective ? 0.0 : across - height) - glm::dot(n, p);
     // Just short of the plane itself: a layer on it does not count.
     if (a > 0.0) return {std::nextafter(-b / a, HUGE_VAL), HUGE_VAL};
     if (a < 0.0) return {-HUGE_VAL, std::nextafter(-b / a, -HUGE_VAL)};
@@ -238,14 +267,14 @@ Span clipToPlane(const Projection& projection, const ReceiverPlane& plane,
 ChannelVisibility traceRay(const ShadowMap& map, const Ray& ray,
                            const TraceOptions& options) noexcept {
     if (ray.delta == glm::dvec3(0.0)) return {1.0f, 1.0f, 1.0f};
-    std::array<double, 3> visible{1.0, 1.0, 1.0};
+    RayState state;
     for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
-        Traversal traversal(map, face, ray, options, visible);
-        if (traversal.run({ray.tBegin, ray.tEnd})) break;
+        state.open = 0;
+        if (Traversal(map, face, ray, options, state).run({ray.tBegin, ray.tEnd})) break;
     }
     ChannelVisibility result;
     for (std::uint32_t c = 0; c < 3; ++c) {
-        const double v = visible[c < map.info().channels ? c : 0];
+        const double v = state.visible[c < map.info().channels ? c : 0];
         result[c] = v <= options.threshold ? 0.0f : static_cast<float>(v);
     }
     return result;

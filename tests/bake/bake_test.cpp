@@ -103,8 +103,9 @@ TEST_CASE("a map says what it was made from", "[bake]") {
     CHECK(b.report.triangles == 6);
     CHECK(b.report.transparent == 2);
     CHECK(b.report.rasterSeconds >= 0.0);
-    // The default bias: a pixel's footprint at the deepest layer.
-    CHECK(i.bias == Approx(b.map.projection(0).pixelFootprint(b.map.zRange(0).max)));
+    // The default bias: a pixel's footprint at a layer's depth.
+    CHECK(i.bias == 0.0f);
+    CHECK(i.biasPerDepth * 7.0f == Approx(b.map.projection(0).pixelFootprint(7.0)));
     o.bias = 0.125f;
     CHECK(mustBake(casters, o).map.info().bias == 0.125f);
 }

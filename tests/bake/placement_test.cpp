@@ -68,6 +68,34 @@ TEST_CASE("the eye is pushed back by eq. 4 behind a disk light", "[bake][exact]"
     CHECK(b.map.zRange(0).max == Approx(4.6f));
 }
 
+TEST_CASE("with a given field of view every point of the light lies in the window",
+          "[bake][exact]") {
+    // Eq. 4 for all window shapes; a sphere touches the frustum's sides, so its
+    // silhouette does.
+    for (const LightShape shape : {LightShape::disk, LightShape::sphere}) {
+        for (const glm::uvec2 size :
+             {glm::uvec2(64, 64), glm::uvec2(64, 16), glm::uvec2(16, 64)}) {
+            for (const double fov : {0.3, 1.2, 2.4}) {
+                Casters casters({octagon(1)});
+                BakeOptions o = lamp(shape, {0, 4, 0}, 0.3);
+                o.fov = fov;
+                o.width = size.x;
+                o.height = size.y;
+                const Baked b = mustBake(casters, o);
+                const Projection& p = b.map.projection(0);
+                const double z = p.lightFromWorld(b.map.info().light.position).z;
+                // Largest tangent of the light as seen from the eye, per side.
+                const double tangent =
+                    shape == LightShape::disk ? 0.3 / z : std::tan(std::asin(0.3 / z));
+                const double narrow = std::tan(0.5 * fov) * std::min(size.x, size.y) /
+                                      std::max(size.x, size.y);
+                INFO(name(shape) << " " << size.x << "x" << size.y << " fov " << fov);
+                CHECK(tangent == Approx(narrow));
+            }
+        }
+    }
+}
+
 TEST_CASE("a given field of view decides window and push-back", "[bake][exact]") {
     Casters casters({octagon(2)});
     BakeOptions o = lamp(LightShape::disk, {0, 4, 0}, 0.3);
@@ -76,11 +104,12 @@ TEST_CASE("a given field of view decides window and push-back", "[bake][exact]")
     o.height = 32;
     const Baked b = mustBake(casters, o);
     const Projection& p = b.map.projection(0);
-    CHECK(glm::length(p.eye - glm::dvec3(0, 5.2, 0)) < 1e-12);
+    // The smaller side is half as wide: d = 0.3 / 0.125.
+    CHECK(glm::length(p.eye - glm::dvec3(0, 6.4, 0)) < 1e-12);
     CHECK(p.scale.x == Approx(32 / 0.25));
     CHECK(p.scale.y == Approx(-32 / 0.25));
     CHECK(p.offset == glm::dvec2(32, 16));
-    // From there the octagon reaches 2 / 5.2 > 1/4.
+    // From there the octagon reaches 2 / 6.4 > 1/4.
     CHECK(b.map.info().castersClipped);
     CHECK(b.report.clipped == 8);
     o.fov = 2 * std::atan(0.8);  // the shorter side reaches 0.4 at 4.375: less than 2

@@ -67,7 +67,7 @@ TEST_CASE("the weights add up to the irradiance of a disk on its axis",
     const double R = 0.7, d = 1.3;
     AreaLight l = diskLight(R);
     const glm::dvec3 p = l.position + d * l.direction;
-    const LightSampler sampler(l, glm::dvec3(0.0));
+    const LightSampler sampler(l);
     const base::SquareSequence sequence(3);
     double sum = 0.0;
     for (int i = 0; i < kCount; ++i) {
@@ -85,7 +85,7 @@ TEST_CASE("a rect's samples lie on it, its height along up", "[light]") {
     l.direction = {0, -1, 0};
     l.up = {1, 1, 0};  // only its part across the direction counts: +x
     l.size = {0.5, 3.0};
-    const LightSampler sampler(l, glm::dvec3(0.0));
+    const LightSampler sampler(l);
     const base::SquareSequence sequence(1);
     double mostX = 0, mostZ = 0;
     for (int i = 0; i < 256; ++i) {
@@ -103,7 +103,7 @@ TEST_CASE("a sphere's samples lie on the cap that the point sees", "[light]") {
     l.shape = LightShape::sphere;
     l.position = {0, 0, 5};
     l.radius = 2.0;
-    const LightSampler sampler(l, glm::dvec3(0.0));
+    const LightSampler sampler(l);
     const base::SquareSequence sequence(1);
     for (const glm::dvec3 p :
          {glm::dvec3(0, 0, 0), glm::dvec3(1e6, 0, 0), glm::dvec3(2.5, 0, 5)}) {
@@ -127,7 +127,7 @@ TEST_CASE("a sun's samples stay within half its diameter, however small", "[ligh
     const base::SquareSequence sequence(9);
     for (double diameter : {0.0, 1e-9, 0.0093, 2.0}) {
         l.angularDiameter = diameter;
-        const LightSampler sampler(l, glm::dvec3(1e7));
+        const LightSampler sampler(l);
         double widest = 0.0;
         for (int i = 0; i < 256; ++i) {
             const auto s = sampler.sample({0, 0, 0}, sequence(i));

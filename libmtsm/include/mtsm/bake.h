@@ -48,8 +48,8 @@ struct BakeOptions {
     std::optional<double> near, far;
     std::uint32_t width = 1024, height = 1024;  ///< 1..kMaxResolution
     std::uint32_t layers = 5;                   ///< nearest samples kept per pixel, 1..64
-    std::optional<float>
-        bias;  ///< z threshold, >= 0; without: a pixel's footprint at the deepest layer
+    /// z threshold, >= 0, world units. Without: a pixel's footprint at a layer's depth.
+    std::optional<float> bias;
     Cull cull = Cull::none;  ///< faces turned away from (back) or to (front) the eye
     std::uint64_t maxBytes = std::uint64_t(8)
                              << 30;  ///< for the depth buffer and the map

@@ -107,10 +107,10 @@ struct MapInfo {
     std::uint32_t tileSize = 64;  ///< pixels per side: 8, 16, 32, 64, 128 or 256
     std::uint32_t channels = 1;  ///< visibility channels: 1, or 3 for coloured visibility
     AreaLight light;             ///< what the map was baked for
-    /// z threshold, world units: an opaque layer blocks within [z - bias, z + bias].
-    /// (Others are not thickened: a ray that changes pixels there would pay for them
-    /// twice.)
+    /// z threshold, world units: a layer at depth z is met within bias + biasPerDepth * z
+    /// of z. The first is a constant; the second grows as a pixel's footprint does.
     float bias = 0.0f;
+    float biasPerDepth = 0.0f;
     std::uint32_t maxLayers = 0;  ///< cap per pixel that was asked for; 0: none
     std::uint32_t resets = 0;     ///< times that accumulation may restart; see kAllResets
     float toleranceAsked = 0.0f;  ///< bound on |V - V'| that was asked for; 0: lossless
@@ -183,6 +183,8 @@ class ShadowMap {
     }
 
     [[nodiscard]] std::uint64_t layerCount() const noexcept { return layerCount_; }
+    /// No layer lets anything through.
+    [[nodiscard]] bool isOpaque() const noexcept { return isOpaque_; }
     /// Bytes that layers and hierarchy take in memory.
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
 
@@ -202,6 +204,7 @@ class ShadowMap {
         hierarchy_;  // [face][level - 1]: level 0 is in the layers
     std::uint32_t tilesX_ = 0, tilesY_ = 0, tileShift_ = 0, levels_ = 0;
     std::uint64_t layerCount_ = 0;
+    bool isOpaque_ = true;
 };
 
 /// True if the two maps are the same to the last bit: info, projections and layers.

@@ -8,11 +8,13 @@
 // from 0 (dark) to 1 (clear); shadow factor = 1 - visibility. A map never changes once
 // made: any number of threads may query it at once. A query allocates nothing and cannot
 // fail; answers are finite whatever the input. The same map, point, light and seed give
-// the same answer on any machine, alone or in a batch, for any number of threads.
+// the same light samples on any machine, and the same answer alone or in a batch, for any
+// number of threads (from machine to machine the last bits are the C library's).
 //
-// What the bias does: an opaque layer blocks within the bias of its depth, and without a
-// normal rays start five biases away from the receiver, so that its own surface does not
-// darken it. With a normal the tangent plane does that job, and no layer is thickened.
+// What the bias does: a layer is met within the bias of its depth, so that no ray slips
+// between two pixels of a tilted surface; and without a normal, rays start five biases
+// away from the receiver, so that its own surface does not darken it. With a normal they
+// start at the receiver, and what lies on its tangent plane does not count.
 //
 // Points that are not finite are lit. A point on or behind the plane of a one-sided light
 // (disk, rect) receives nothing from it: that is not shadow, so it counts as lit and
@@ -60,7 +62,7 @@ inline constexpr int kMaxSamples = 4096;
 Status checkQuery(const ShadowMap& map, const AreaLight& light,
                   const ShadowOptions& options);
 
-/// What a batch met.
+/// What batches met: each adds to what is there.
 struct QueryStats {
     std::uint64_t points = 0, rays = 0;
     std::uint64_t notFinite = 0;    ///< points with a NaN or infinity: lit
