@@ -63,6 +63,7 @@ class ChunkMeasure {
         } else if (within(p) && within(q) && within(r)) {
             within_[a] = within_[b] = within_[c] = true;
         } else {
+            if (std::min({p.z, q.z, r.z}) < depths_.near) ++extent_.cut;
             raster::Polygon polygon;
             for (const glm::dvec3 corner : {p, q, r})
                 polygon.add(corner);
@@ -120,6 +121,7 @@ void Extent::add(const Extent& other) noexcept {
     degenerate += other.degenerate;
     transparent += other.transparent;
     outside += other.outside;
+    cut += other.cut;
 }
 
 Result<Extent> measure(Visits& visits, const Projection& frame, double near, double far) {

@@ -24,6 +24,7 @@ struct Extent {
     std::uint64_t meshes = 0, triangles = 0;
     std::uint64_t nonFinite = 0, degenerate = 0, transparent = 0;
     std::uint64_t outside = 0;  ///< wholly in front of near or behind far
+    std::uint64_t cut = 0;      ///< reach in front of near, wholly or in part
 
     /// True if no triangle reaches between near and far.
     [[nodiscard]] bool empty() const noexcept { return !(min.x <= max.x); }

@@ -170,6 +170,20 @@ Status checkOutside(glm::dvec3 p, const Extent& bounds) {
                    "casters around it, or give a field of view with --fov");
 }
 
+/// A light that shines to all sides must see all casters ahead of it, or they would be
+/// cut off unasked. (What lies behind a one-sided light casts nothing.)
+Status checkAround(const Extent& seen, const BakeOptions& options) {
+    const LightShape shape = options.light.shape;
+    if (options.near || seen.cut == 0 ||
+        (shape != LightShape::point && shape != LightShape::sphere))
+        return {};
+    return invalid(
+        seen.cut, " triangles of the casters lie beside or behind the ", name(shape),
+        " light at ", text(options.light.position),
+        ", and six-face maps are not available yet: move it away from them, --exclude "
+        "them, cut them off with --near, or give a field of view with --fov");
+}
+
 // --- finite lights and suns
 // ----------------------------------------------------------------
 
@@ -252,6 +266,7 @@ Result<Placement> placeFinite(Visits& visits, const BakeOptions& options) {
     if (!seen) return seen.error();
     if (seen->empty()) return allBehind(options);
     if (auto s = checkAngle(std::sqrt(seen->radius2)); !s) return s.error();
+    if (auto s = checkAround(*seen, options); !s) return s.error();
     fitWindow(p, *seen, pixelsOf(options));
     return placed;
 }

@@ -48,6 +48,10 @@ class LightSampler {
     [[nodiscard]] LightSample sample(glm::dvec3 p, glm::dvec2 u) const noexcept;
     /// Not for a sun.
     [[nodiscard]] glm::dvec3 centre() const noexcept { return centre_; }
+    /// Towards the light's centre; a sun's is a unit vector.
+    [[nodiscard]] glm::dvec3 towards(glm::dvec3 p) const noexcept {
+        return shape_ == LightShape::sun ? normal_ : centre_ - p;
+    }
     [[nodiscard]] LightShape shape() const noexcept { return shape_; }
 
   private:

@@ -1,12 +1,11 @@
 // Percentage-closer filtering of the map, for small lights [Xie07, sec. 3].
 //
-// The paper takes samples within a filter around the point's own pixel, of size
+// Samples are taken around the point's own place on the map, within a filter of size
 //     resolution * light_radius * (1 / z_min - 1 / z) (eq. 1)
 // which is how far the rays to a light at the eye spread until they reach z_min, the
 // smallest depth of the map. Here the light may lie in front of the eye (push-back, eq.
-// 4) or be a sun, so each sample is taken where its own ray crosses z_min: for a light at
-// the eye that is eq. 1, and otherwise the filter is as large as the light looks from the
-// point, and moves with it.
+// 4) or be a sun, so the spread is taken where the rays to the sample and to the light's
+// centre cross z_min: for a light at the eye that is eq. 1.
 #include <algorithm>
 #include <cmath>
 
@@ -22,11 +21,15 @@ float Query::filtered(const Receiver& receiver,
         const Projection& p = map_.projection(face);
         const glm::dvec3 point = p.lightFromWorld(receiver.point);
         const glm::dvec3 delta = p.lightFromWorldDirection(sample.delta);
-        if (!(point.z > range.min) || !(delta.z < 0.0))
+        const glm::dvec3 axis = p.lightFromWorldDirection(light_.towards(receiver.point));
+        if (!(point.z > range.min) || !(delta.z < 0.0) || !(axis.z < 0.0))
             continue;  // nothing is in front of it
-        const double t = (range.min - point.z) / delta.z;
+        const auto atNearest = [&](glm::dvec3 d) {
+            const double t = (range.min - point.z) / d.z;
+            return p.rasterFromLight({point.x + t * d.x, point.y + t * d.y, range.min});
+        };
         const glm::dvec2 r =
-            p.rasterFromLight({point.x + t * delta.x, point.y + t * delta.y, range.min});
+            p.rasterFromLight(point) + atNearest(delta) - atNearest(axis);
         if (!(r.x >= 0.0 && r.y >= 0.0 && r.x < map_.info().width &&
               r.y < map_.info().height))
             continue;

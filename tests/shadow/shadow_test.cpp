@@ -218,17 +218,44 @@ TEST_CASE("points of the light below the receiver's horizon count as blocked",
     CHECK(shadowFactor(map, light, receiver(0), {0, 0, -1}) == 1.0f);
 }
 
-TEST_CASE("percentage-closer filtering is exact for a blocker at the smallest depth",
-          "[shadow][exact]") {
-    // All blockers lie at z_min, so the filter of eq. 1 is the true one.
-    const double R = 0.3;
-    const AreaLight light = lightOf(LightShape::disk, R);
+TEST_CASE(
+    "percentage-closer filtering is exact for a blocker at the smallest depth and a "
+    "light at the eye",
+    "[shadow][exact]") {
+    // All blockers lie at z_min, so the filter of eq. 1 is the true one: the half-plane's
+    // edge appears at x (1 - 4 / (4 - 2)) on the light.
+    const double R = 0.3, nearEye = 1e-9;
+    AreaLight light = lightOf(LightShape::disk, R);
+    light.position.z = -nearEye;
     const ShadowMap map = mapWith(light, 64, [](glm::dvec2 q) { return q.x < 0; });
     ShadowOptions options = samplesOf(1024);
     options.method = ShadowMethod::pcf;
     for (double x = -0.6; x <= 0.6; x += 0.05) {
         CHECK(shadowFactor(map, light, receiver(x), {}, options) ==
-              Approx(diskBelow(x * (1 - kToLight) / R) / kPi).margin(0.02));
+              Approx(diskBelow(-x / R) / kPi).margin(0.02));
+    }
+}
+
+TEST_CASE("percentage-closer filtering leaves a lit plane lit, tilted or not",
+          "[shadow][exact]") {
+    // The map holds the receiver's own plane and nothing else.
+    const Projection p = test::plainProjection(128, 128);
+    for (const double slope : {0.0, 0.5, 1.5}) {
+        MapInfo info = test::plainInfo(128, 128, 64);
+        info.light = lightOf(LightShape::disk, 0.1);
+        const ShadowMap map = mapOf(info, p, [&](std::uint32_t x, std::uint32_t y) {
+            const glm::dvec3 d = p.lightFromRaster({x + 0.5, y + 0.5}, 1.0);
+            const double z = kReceiverZ / (1.0 - slope * d.x);
+            return z > 1 && z < 20 ? std::vector<TestLayer>{{float(z), 0.0f, 1}}
+                                   : std::vector<TestLayer>{};
+        });
+        ShadowOptions options = samplesOf(256);
+        options.method = ShadowMethod::pcf;
+        for (double x = -0.5; x <= 0.5; x += 0.05) {
+            const glm::dvec3 on(x, 0.2, -(kReceiverZ + slope * x));
+            const glm::dvec3 normal(slope, 0, 1);  // towards the light
+            CHECK(shadowFactor(map, info.light, on, normal, options) == 0.0f);
+        }
     }
 }
 
