@@ -16,7 +16,7 @@
 #include <string_view>
 
 #include "base/message.h"
-#include "io/printable.h"
+#include "base/printable.h"
 #include "mtsm/points.h"
 
 namespace mtsm {
@@ -24,7 +24,7 @@ namespace {
 
 using base::concat;
 using base::makeError;
-using io::printable;
+using base::printable;
 
 constexpr std::size_t kBlock = std::size_t(1) << 20;  // bytes read at once
 constexpr std::size_t kLongestLine = std::size_t(1) << 20;

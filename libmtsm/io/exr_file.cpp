@@ -16,13 +16,14 @@
 #include <filesystem>
 
 #include "base/message.h"
-#include "io/printable.h"
+#include "base/printable.h"
 
 namespace mtsm::io {
 namespace {
 
 namespace fs = std::filesystem;
 using base::makeError;
+using base::printable;
 
 constexpr std::uint32_t kMultiPartFlag = 0x1000;
 constexpr std::size_t kLongestName = 255;

@@ -14,15 +14,15 @@
 #include <optional>
 
 #include "base/message.h"
+#include "base/printable.h"
 #include "io/exr_file.h"
-#include "io/printable.h"
 
 namespace mtsm {
 namespace {
 
 using base::concat;
 using base::makeError;
-using io::printable;
+using base::printable;
 
 /// Three channels that belong together.
 struct Layer {
