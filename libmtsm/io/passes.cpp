@@ -160,9 +160,9 @@ std::string listChannels(const Imf::MultiPartInputFile& file) {
 /// True if the layer's name says that its values are not those of world space, such as
 /// "camera.Position" and "Pref.P". A "View Layer" is no view.
 bool isOfOtherSpace(const Layer& layer) {
-    static const std::vector<std::string> kSpaces{
-        "camera", "cam",  "eye",   "object", "obj",    "local", "tangent", "ref",
-        "pref",   "rest", "light", "lamp",   "screen", "ndc",   "raster"};
+    static const std::vector<std::string> kSpaces{"camera", "cam",     "object", "obj",
+                                                  "local",  "tangent", "ref",    "pref",
+                                                  "rest",   "light",   "screen", "ndc"};
     const std::vector<std::string> words = wordsOf(layer.partName + ":" + layer.prefix);
     for (std::size_t i = 0; i < words.size(); ++i) {
         const bool view = words[i] == "view" || words[i] == "views";

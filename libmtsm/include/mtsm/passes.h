@@ -12,8 +12,8 @@
 // so that "P.X", "Position.R", "RenderLayer.Position.x" and a part named "P" with
 // channels R, G, B all count. Not recognised, because they are of another space, are
 // layers and parts whose name has one of these words (split at punctuation and capitals):
-// camera, cam, eye, view (but not "ViewLayer"), object, obj, local, tangent, ref, pref,
-// rest, light, lamp, screen, ndc, raster. They can be taken by name. A layer's channels
+// camera, cam, view (but not "ViewLayer"), object, obj, local, tangent, ref, pref, rest,
+// light, screen, ndc. They can be taken by name. A layer's channels
 // are X, Y, Z or R, G, B, in either case. A file that holds nothing but R, G, B (or X, Y,
 // Z) and perhaps A is taken for the pass itself.
 //
