@@ -209,8 +209,10 @@ def zstd_frame(data):
     single = descriptor >> 5 & 1
     size_bytes = (1 if single else 0, 2, 4, 8)[descriptor >> 6]
     need(size_bytes > 0, "a zstd frame that does not state its content size")
-    need(descriptor & 3 == 0, "a zstd frame that wants a dictionary")
     at = 5 + (0 if single else 1)
+    id_bytes = (0, 1, 2, 4)[descriptor & 3]  # an id of 0 stands for none
+    need(not any(data[at:at + id_bytes]), "a zstd frame that wants a dictionary")
+    at += id_bytes
     content = int.from_bytes(data[at:at + size_bytes], "little")
     content += 256 if size_bytes == 2 else 0
     at += size_bytes
@@ -293,7 +295,17 @@ HAS_V, HAS_N = 1, 2
 class File:
     def __init__(self, data, max_bytes):
         self.data, self.max_bytes = data, max_bytes
-        self.out = {}
+        self.out, self.minor = {}, 0
+        try:
+            self.read_all()
+        except Bad as error:
+            if self.minor == 0:
+                raise
+            # S 11: what is not understood may be what the newer version brought
+            raise Unsupported("is of version 1.%d, newer than the 1.0 that this reader knows: %s"
+                              % (self.minor, error))
+
+    def read_all(self):
         self.read_prefix()
         self.read_trailer()
         self.read_index()
@@ -316,10 +328,11 @@ class File:
         self.prefix_checksum = u64(self.data, 56)
         need(self.prefix_checksum == checksum(self.data[:56]), "prefix: damaged")
         prefix.bytes(8)
-        major, self.minor, size = prefix.fields("HHI")
+        major, minor, size = prefix.fields("HHI")
+        need(major == 1, "prefix: version %d.%d has never been" % (major, minor))
+        self.minor = minor
         self.width, self.height, self.faces, self.channels, self.tile_size = prefix.fields("5I")
         prefix.zeros(20)
-        need(major == 1, "prefix: version %d.%d has never been" % (major, self.minor))
         need(size == 64, "prefix: a size of %d" % size)
         need(1 <= self.width <= MAX_SIDE and 1 <= self.height <= MAX_SIDE,
              "prefix: %d x %d pixels" % (self.width, self.height))

@@ -280,8 +280,8 @@ void say(Talk& talk, const Baked& baked, const Arguments& a, std::uint64_t fileB
              " (" + secondsText(timing.total) + " in all)");
 }
 
-std::string jsonText(const Baked& baked, const Arguments& a, std::uint64_t fileBytes,
-                     Timing timing) {
+nlohmann::ordered_json reportJson(const Baked& baked, const Arguments& a,
+                                  std::uint64_t fileBytes, Timing timing) {
     const BakeReport& r = baked.report;
     const MapInfo& info = baked.map.info();
     nlohmann::ordered_json j;
@@ -305,7 +305,7 @@ std::string jsonText(const Baked& baked, const Arguments& a, std::uint64_t fileB
                     {"raster", r.rasterSeconds},
                     {"write", timing.write},
                     {"total", timing.total}};
-    return j.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
+    return j;
 }
 
 void run(const Arguments& a, const CLI::App& app, Talk& talk) {
@@ -329,14 +329,17 @@ void run(const Arguments& a, const CLI::App& app, Talk& talk) {
         return talk.progress("writing", fraction);
     };
     const auto writeStart = Clock::now();
-    unwrap(writeMap(baked.map, a.output, write));
+    {
+        const Writing writing(a.output);
+        unwrap(writeMap(baked.map, a.output, write));
+    }
 
     const Timing timing{since(writeStart), since(start)};
     std::error_code problem;
     const auto size = std::filesystem::file_size(a.output, problem);
     const std::uint64_t fileBytes = problem ? 0 : size;
     say(talk, baked, a, fileBytes, timing);
-    if (a.json) print(jsonText(baked, a, fileBytes, timing));
+    if (a.json) print(jsonText(reportJson(baked, a, fileBytes, timing)));
 }
 
 }  // namespace

@@ -43,6 +43,7 @@ const std::vector<std::string> kChannels = {"layers", "zmin", "zmax", "visibilit
 
 struct Arguments {
     std::string map, pixel, plot, output, image;
+    std::string maxMemory = "8G";
     std::int64_t face = 0;
     std::optional<std::size_t> channel;
     bool json = false, histogram = false, validate = false;
@@ -84,10 +85,11 @@ void addOptions(CLI::App& app, Arguments& a) {
         ->group("How");
     app.add_flag("--json", a.json, "print as a JSON object; lengths without end are null")
         ->group("How");
+    addMaxMemory(app, a.maxMemory)->group("How");
 }
 
 void printJson(const ordered_json& j) {
-    print(j.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n");
+    print(jsonText(j));
 }
 
 ordered_json triple(const glm::dvec3& v) {
@@ -272,15 +274,6 @@ std::string attributeText(const Attribute& a) {
     return list;
 }
 
-/// One line of text that a file brought along: control characters must not reach a
-/// terminal.
-std::string harmless(std::string text) {
-    for (char& c : text) {
-        if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) c = ' ';
-    }
-    return text;
-}
-
 std::string summaryText(const Arguments& a, const Description& d, const ShadowMap& map) {
     const MapInfo& info = map.info();
     Rows rows;
@@ -293,14 +286,14 @@ std::string summaryText(const Arguments& a, const Description& d, const ShadowMa
                          (map.faceCount() == 1 ? " face, " : " faces, ") +
                          std::to_string(info.channels) +
                          (info.channels == 1 ? " channel" : " channels"));
-    rows.row("software", harmless(info.software));
-    rows.row("settings", harmless(info.settings));
+    rows.row("software", printable(info.software));
+    rows.row("settings", printable(info.settings));
     lightRows(rows, map);
     contentRows(rows, info, d);
     byteRows(rows, map, d);
     if (!info.attributes.empty()) rows.group("Attributes");
     for (const Attribute& attribute : info.attributes)
-        rows.row(harmless(attribute.name), harmless(attributeText(attribute)));
+        rows.row(printable(attribute.name), printable(attributeText(attribute)));
     return rows.text().substr(1);
 }
 
@@ -394,15 +387,15 @@ void showPlot(const Arguments& a, const ShadowMap& map) {
     const std::uint32_t face = checkedFace(a, map);
     const glm::uvec2 at = checkedPixel("--plot", a.plot, map);
     const std::string svg = visibilityPlot(map, face, at.x, at.y);
-    if (a.output.empty())
-        print(svg);
-    else
-        unwrap(writeTextFile(a.output, svg));
+    if (a.output.empty()) return print(svg);
+    const Writing writing(a.output);
+    unwrap(writeTextFile(a.output, svg));
 }
 
 void showImage(const Arguments& a, const ShadowMap& map, Talk& talk) {
     const auto channel = static_cast<MapChannel>(a.channel.value_or(0));
     const FloatImage image = mapImage(map, checkedFace(a, map), channel);
+    const Writing writing(a.image);
     if (extension(a.image) == ".exr") return unwrap(writeImageExr(a.image, image));
     const std::vector<float>& values = image.channels.front().values;
     float least = std::numeric_limits<float>::infinity(), most = -least;
@@ -423,8 +416,8 @@ void showImage(const Arguments& a, const ShadowMap& map, Talk& talk) {
         a.image, greyImage(image.data.width, image.data.height, values, least, most)));
 }
 
-void validate(const Arguments& a) {
-    const ShadowMap map = unwrap(readMap(a.map));
+void validate(const Arguments& a, const ReadLimits& limits) {
+    const ShadowMap map = unwrap(readMap(a.map, limits));
     const MapInfo& info = map.info();
     if (a.json) {
         return printJson(
@@ -456,17 +449,18 @@ void checkArguments(const Arguments& a, const CLI::App& app) {
 
 void run(const Arguments& a, const CLI::App& app, Talk& talk) {
     checkArguments(a, app);
-    if (a.validate) return validate(a);
+    const ReadLimits limits = readLimits(a.maxMemory);
+    if (a.validate) return validate(a, limits);
     if (!a.pixel.empty() || !a.plot.empty() || !a.image.empty()) {
-        const ShadowMap map = unwrap(readMap(a.map));
+        const ShadowMap map = unwrap(readMap(a.map, limits));
         if (!a.pixel.empty()) return showPixel(a, map);
         if (!a.plot.empty()) return showPlot(a, map);
         return showImage(a, map, talk);
     }
-    const Description d = unwrap(describe(a.map));
+    const Description d = unwrap(describe(a.map, limits));
     if (a.histogram && a.json) return printJson({{"layerHistogram", d.layerHistogram}});
     if (a.histogram) return print(histogramText(d));
-    const ShadowMap map = unwrap(readMap(a.map));
+    const ShadowMap map = unwrap(readMap(a.map, limits));
     if (a.json) return printJson(summaryJson(a, d, map));
     print(summaryText(a, d, map));
 }

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <filesystem>
 #include <functional>
 #include <glm/geometric.hpp>
 #include <memory>
@@ -9,6 +10,7 @@
 #include "common/arguments.h"
 #include "common/light_options.h"
 #include "common/tool.h"
+#include "mtsm/describe.h"
 #include "mtsm/image.h"
 #include "mtsm/passes.h"
 #include "mtsm/points.h"
@@ -68,6 +70,7 @@ struct Arguments {
     std::optional<double> bias, threshold;
     LightOptions light;
     std::optional<std::size_t> method, quantity, weight;
+    std::string maxMemory = "8G";
     bool json = false, stats = false, quiet = false;
 };
 
@@ -128,14 +131,16 @@ void addOptions(CLI::App& app, Arguments& a) {
         ->group("Output");
     addChoice(app, "--quantity", a.quantity, {"shadow", "visibility"},
               "what a .png shows (default: visibility, white is\n"
-              "lit), or the only one of both in CSV; an .exr has\n"
-              "both always")
+              "lit), or the only one of both in CSV and JSON; an\n"
+              ".exr has both always")
         ->group("Output");
     app.add_flag("--json", a.json,
                  "print statistics, and the results of up to 10000\n"
                  "points or rays, to stdout as a JSON object")
         ->group("Output");
-    app.add_flag("--stats", a.stats, "print points, rays, seconds and rays per second")
+    app.add_flag("--stats", a.stats,
+                 "print points, rays, seconds, rays per second and the\n"
+                 "layers that were read")
         ->group("Output");
 
     addWhole(app, "--samples", a.samples, 1, kMaxSamples,
@@ -166,6 +171,7 @@ void addOptions(CLI::App& app, Arguments& a) {
     addWhole(app, "--threads", a.threads, 0, 1024,
              "0: as many as the machine has (default)")
         ->group("General");
+    addMaxMemory(app, a.maxMemory)->group("General");
     app.add_flag("--quiet", a.quiet, "say nothing but warnings and errors")
         ->group("General");
 }
@@ -238,6 +244,8 @@ struct Receivers {
     std::function<glm::dvec3(std::size_t)> normal;  ///< empty: none is known
     std::function<bool(std::size_t)> surface;       ///< empty: there is one everywhere
     PixelWindow data, display;                      ///< of pictures
+    std::string positionLayer, normalLayer;         ///< of passes: what was read
+    bool passes = false, normalPass = false;
 };
 
 Receivers pointReceivers(PointList list) {
@@ -250,12 +258,19 @@ Receivers pointReceivers(PointList list) {
     return r;
 }
 
+/// A layer of an EXR as messages have it.
+std::string layerText(const std::string& layer) {
+    return layer.empty() ? "the one unnamed layer" : "layer \"" + printable(layer) + "\"";
+}
+
 Receivers passReceivers(const Arguments& a) {
     PassOptions options;
     options.layer = a.positionLayer;
     auto pass =
         std::make_shared<const Pass>(unwrap(readPositionPass(a.positionFile, options)));
     Receivers r;
+    r.passes = true;
+    r.positionLayer = pass->layer;
     r.count = pass->pixels();
     r.data = pass->data;
     r.display = pass->display;
@@ -265,6 +280,15 @@ Receivers passReceivers(const Arguments& a) {
     options.layer = a.normalLayer;
     auto normals = std::make_shared<const Pass>(
         unwrap(readNormalPass(a.normalFile, *pass, options)));
+    std::error_code problem;
+    if (normals->layer == pass->layer &&
+        std::filesystem::equivalent(a.positionFile, a.normalFile, problem))
+        throw UsageError("--normal-pass: " + layerText(pass->layer) + " of " +
+                         a.normalFile +
+                         " holds the positions already; name the normals with "
+                         "--normal-layer, or give another file");
+    r.normalPass = true;
+    r.normalLayer = normals->layer;
     r.normal = [normals](std::size_t i) { return glm::dvec3(normals->values[i]); };
     return r;
 }
@@ -316,13 +340,12 @@ struct Results {
     double seconds = 0;
 };
 
-/// Runs `slice(begin, end)` over all of `count`; a stop between two slices is an error.
+/// Runs `slice(begin, end)` over all of `count`.
 template <typename Slice>
 double inSlices(std::size_t count, std::size_t step, Talk& talk, Slice&& slice) {
     const auto start = std::chrono::steady_clock::now();
     for (std::size_t begin = 0; begin < count; begin += step) {
-        if (!talk.progress("tracing", double(begin) / double(count)))
-            throw Failure{{ErrorCode::cancelled, "stopped; nothing was written"}};
+        talk.progress("tracing", double(begin) / double(count));
         slice(begin, std::min(count, begin + step));
     }
     talk.progressDone();
@@ -399,8 +422,11 @@ std::vector<CsvColumn> resultColumns(const Arguments& a, const Results& results,
     return {a.quantity.value_or(1) == 0 ? shadow : visibility};
 }
 
-std::string csvPath(const Arguments& a) {
-    return a.output.empty() ? "-" : a.output;
+void writeTable(const Arguments& a, const std::vector<CsvColumn>& columns,
+                std::size_t rows) {
+    if (a.output.empty()) return unwrap(writeCsv("-", columns, rows));
+    const Writing writing(a.output);
+    unwrap(writeCsv(a.output, columns, rows));
 }
 
 void writePointCsv(const Arguments& a, const Receivers& r, const Results& results) {
@@ -413,7 +439,7 @@ void writePointCsv(const Arguments& a, const Receivers& r, const Results& result
         {"x", first, 3}, {"y", first + 1, 3}, {"z", first + 2, 3}};
     for (CsvColumn& c : resultColumns(a, results, true))
         columns.push_back(std::move(c));
-    unwrap(writeCsv(csvPath(a), columns, r.count));
+    writeTable(a, columns, r.count);
 }
 
 void writeRayCsv(const Arguments& a, const std::vector<ShadowRay>& rays,
@@ -428,11 +454,12 @@ void writeRayCsv(const Arguments& a, const std::vector<ShadowRay>& rays,
         {"tmax", &first->length, 7}};
     for (CsvColumn& c : resultColumns(a, results, false))
         columns.push_back(std::move(c));
-    unwrap(writeCsv(csvPath(a), columns, rays.size()));
+    writeTable(a, columns, rays.size());
 }
 
 void writePicture(const Arguments& a, const Receivers& r, const AreaLight& light,
                   Results& results) {
+    const Writing writing(a.output);
     if (extension(a.output) == ".png") {
         const auto& values =
             a.quantity.value_or(1) == 0 ? results.shadow : results.visibility;
@@ -449,11 +476,14 @@ void writePicture(const Arguments& a, const Receivers& r, const AreaLight& light
     unwrap(writeImageExr(a.output, image));
 }
 
-nlohmann::ordered_json statsJson(const Arguments& a, const Results& results) {
+nlohmann::ordered_json statsJson(const Arguments& a, const Receivers& r,
+                                 const Results& results) {
     const QueryStats& s = results.stats;
     nlohmann::ordered_json j;
     j["map"] = a.map;
     if (!a.output.empty()) j["output"] = a.output;
+    if (r.passes) j["positionLayer"] = r.positionLayer;
+    if (r.normalPass) j["normalLayer"] = r.normalLayer;
     j["points"] = s.points;
     j["rays"] = s.rays;
     j["seconds"] = results.seconds;
@@ -465,29 +495,37 @@ nlohmann::ordered_json statsJson(const Arguments& a, const Results& results) {
 }
 
 void printJson(const nlohmann::ordered_json& j) {
-    print(j.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n");
+    print(jsonText(j));
 }
 
 /// One object per result, unless they are a picture or too many.
-nlohmann::ordered_json valuesJson(const Results& results) {
+nlohmann::ordered_json valuesJson(const Arguments& a, const Results& results) {
     auto values = nlohmann::ordered_json::array();
-    for (std::size_t i = 0; i < results.shadow.size(); ++i)
-        values.push_back(
-            {{"shadow", results.shadow[i]}, {"visibility", results.visibility[i]}});
+    for (std::size_t i = 0; i < results.shadow.size(); ++i) {
+        nlohmann::ordered_json value;
+        if (a.quantity.value_or(0) == 0) value["shadow"] = results.shadow[i];
+        if (a.quantity.value_or(1) == 1) value["visibility"] = results.visibility[i];
+        values.push_back(std::move(value));
+    }
     return values;
 }
 
-void sayStats(const Arguments& a, const Results& results, Talk& talk) {
+void sayStats(const Arguments& a, const Receivers& r, const Results& results,
+              Talk& talk) {
     const QueryStats& s = results.stats;
     if (a.stats) {
-        talk.say(
+        if (r.passes)
+            talk.answer("positions from " + layerText(r.positionLayer) +
+                        (r.normalPass ? ", normals from " + layerText(r.normalLayer)
+                                      : std::string()));
+        talk.answer(
             countText(s.points) + " points, " + countText(s.rays) + " rays, " +
             secondsText(results.seconds) + ", " +
             numberText(std::round(double(s.rays) / std::max(results.seconds, 1e-9))) +
             " rays per second");
-        talk.say(countText(s.notFinite) + " points not finite, " +
-                 countText(s.behindLight) + " behind the light, " +
-                 countText(s.mayBeTruncated) + " may be truncated");
+        talk.answer(countText(s.notFinite) + " points not finite, " +
+                    countText(s.behindLight) + " behind the light, " +
+                    countText(s.mayBeTruncated) + " may be truncated");
     } else if (s.mayBeTruncated) {
         talk.warn(countText(s.mayBeTruncated) + " of " + countText(s.points) +
                   " points lie outside the light's view, where casters that reach out of "
@@ -495,12 +533,13 @@ void sayStats(const Arguments& a, const Results& results, Talk& talk) {
     }
 }
 
-void report(const Arguments& a, Kind kind, const Results& results, Talk& talk) {
-    sayStats(a, results, talk);
+void report(const Arguments& a, Kind kind, const Receivers& r, const Results& results,
+            Talk& talk) {
+    sayStats(a, r, results, talk);
     if (!a.json) return;
-    auto j = statsJson(a, results);
+    auto j = statsJson(a, r, results);
     if (!isPicture(kind) && results.shadow.size() <= kFewValues)
-        j["values"] = valuesJson(results);
+        j["values"] = valuesJson(a, results);
     printJson(j);
 }
 
@@ -521,7 +560,7 @@ void runRays(const Arguments& a, const ShadowMap& map, Talk& talk) {
     refuseLongJson(a, rays.size());
     const Results results = queryRays(map, rays, options, talk);
     if (!a.json || !a.output.empty()) writeRayCsv(a, rays, results);
-    report(a, Kind::rays, results, talk);
+    report(a, Kind::rays, {}, results, talk);
 }
 
 void runPoints(const Arguments& a, Kind kind, const ShadowMap& map, Talk& talk) {
@@ -548,7 +587,7 @@ void runPoints(const Arguments& a, Kind kind, const ShadowMap& map, Talk& talk) 
         writePicture(a, r, light, results);
     else if (!a.json || !a.output.empty())
         writePointCsv(a, r, results);
-    report(a, kind, results, talk);
+    report(a, kind, r, results, talk);
 }
 
 void run(const Arguments& a, const CLI::App& app, Talk& talk) {
@@ -558,7 +597,7 @@ void run(const Arguments& a, const CLI::App& app, Talk& talk) {
     if (!a.output.empty())
         checkOutput(a.output,
                     {a.map, a.pointsFile, a.raysFile, a.positionFile, a.normalFile});
-    const ShadowMap map = unwrap(readMap(a.map));
+    const ShadowMap map = unwrap(readMap(a.map, readLimits(a.maxMemory)));
     if (kind == Kind::rays)
         runRays(a, map, talk);
     else

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "base/printable.h"
 #include "format/guard.h"
 #include "format/header.h"
 #include "format/map_file.h"
@@ -87,6 +88,10 @@ Result<Description> describeFile(const std::string& path, const ReadLimits& limi
 Result<Description> describe(const std::string& path, const ReadLimits& limits) {
     return format::guarded(path, "read",
                            [&] { return format::describeFile(path, limits); });
+}
+
+std::string printable(const std::string& text) {
+    return base::printable(text);
 }
 
 }  // namespace mtsm

@@ -6,16 +6,20 @@
 #include <string>
 
 #include "base/message.h"
+#include "base/printable.h"
 
 namespace mtsm::format {
 
 /// What `work` returns, or an error in its place if it throws. `doing` is "read" or
-/// "write".
+/// "write". Messages may quote what a file holds: they leave here fit for a terminal.
 template <typename Work>
 auto guarded(const std::string& name, const char* doing, Work&& work)
     -> decltype(work()) {
     try {
-        return work();
+        auto result = work();
+        if (!result)
+            return Error{result.error().code, base::printable(result.error().message)};
+        return result;
     } catch (const std::bad_alloc&) {
         return base::makeError(ErrorCode::tooLarge, name, ": not enough memory to ",
                                doing, " it");

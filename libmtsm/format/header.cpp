@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cstring>
+#include <set>
 #include <string_view>
 
 #include "base/bytes.h"
@@ -125,6 +126,37 @@ Prefix makePrefix(const ShadowMap& map) {
     return p;
 }
 
+Error ofItsVersion(Error error, std::uint16_t versionMinor) {
+    if (error.code != ErrorCode::badFile || versionMinor <= kVersionMinor) return error;
+    return makeError(ErrorCode::unsupported, "is of version ", kVersionMajor, ".",
+                     versionMinor, ", newer than the ", kVersionMajor, ".", kVersionMinor,
+                     " that this reader knows: ", error.message, "; use a newer libmtsm");
+}
+
+namespace {
+
+/// The fields of a prefix whose checksum and version are right.
+Status checkPrefix(const Prefix& p) {
+    if (p.prefixSize != sizeof(Prefix))
+        return bad("prefix: says that it has ", p.prefixSize, " bytes, not ",
+                   sizeof(Prefix));
+    if (p.width < 1 || p.height < 1 || p.width > kMaxResolution ||
+        p.height > kMaxResolution)
+        return bad("prefix: ", p.width, " x ", p.height,
+                   " pixels, each side must be 1 to ", kMaxResolution);
+    if (p.faces != 1 && p.faces != 6)
+        return bad("prefix: ", p.faces, " faces, must be 1 or 6");
+    if (p.channels != 1 && p.channels != 3)
+        return bad("prefix: ", p.channels, " visibility channels, must be 1 or 3");
+    if (p.tileSize < 8 || p.tileSize > 256 || !std::has_single_bit(p.tileSize))
+        return bad("prefix: tile size ", p.tileSize,
+                   " is not a power of two from 8 to 256");
+    if (!allZero(p.reserved)) return bad("prefix: reserved bytes are not zero");
+    return {};
+}
+
+}  // namespace
+
 Result<Prefix> decodePrefix(BytesView bytes) {
     // Magic and major version come first: nothing else of a newer file means anything.
     if (bytes.empty()) return bad("is empty, not an MTSM file");
@@ -147,21 +179,7 @@ Result<Prefix> decodePrefix(BytesView bytes) {
         return bad("prefix: damaged, its checksum does not fit");
     if (p.versionMajor != kVersionMajor)
         return bad("prefix: format version ", p.versionMajor, " has never been");
-    if (p.prefixSize != sizeof(Prefix))
-        return bad("prefix: says that it has ", p.prefixSize, " bytes, not ",
-                   sizeof(Prefix));
-    if (p.width < 1 || p.height < 1 || p.width > kMaxResolution ||
-        p.height > kMaxResolution)
-        return bad("prefix: ", p.width, " x ", p.height,
-                   " pixels, each side must be 1 to ", kMaxResolution);
-    if (p.faces != 1 && p.faces != 6)
-        return bad("prefix: ", p.faces, " faces, must be 1 or 6");
-    if (p.channels != 1 && p.channels != 3)
-        return bad("prefix: ", p.channels, " visibility channels, must be 1 or 3");
-    if (p.tileSize < 8 || p.tileSize > 256 || !std::has_single_bit(p.tileSize))
-        return bad("prefix: tile size ", p.tileSize,
-                   " is not a power of two from 8 to 256");
-    if (!allZero(p.reserved)) return bad("prefix: reserved bytes are not zero");
+    if (auto s = checkPrefix(p); !s) return ofItsVersion(s.error(), p.versionMinor);
     return p;
 }
 
@@ -328,6 +346,7 @@ Result<std::vector<Attribute>> decodeAttributes(BytesView payload, const Prefix&
     if (!in.ok()) return bad("has ", payload.size(), " bytes, fewer than 8");
     if (reserved != 0) return bad("reserved bytes are not zero");
     std::vector<Attribute> attributes;
+    std::set<std::string> names;
     for (std::uint32_t i = 0; i < count; ++i) {
         const auto r = in.get<AttributeRecord>();
         const BytesView name = in.bytes(r.nameLength);
@@ -339,6 +358,8 @@ Result<std::vector<Attribute>> decodeAttributes(BytesView payload, const Prefix&
         a.name = asText(name);
         if (a.name.empty() || !base::isUtf8(a.name))
             return bad("attribute ", i, ": the name is empty or not UTF-8");
+        if (!names.insert(a.name).second)
+            return bad("attribute \"", a.name, "\" is there twice");
         if (r.type > std::uint8_t(AttributeType::doubles)) {
             if (prefix.versionMinor > kVersionMinor) continue;  // a type of later days
             return bad("attribute \"", a.name, "\": unknown type ", int(r.type));

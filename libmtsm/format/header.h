@@ -21,6 +21,11 @@ using BytesView = std::span<const std::uint8_t>;
 /// Checks every field; `bytes` may be longer. Errors: badFile, unsupported.
 Result<Prefix> decodePrefix(BytesView bytes);
 
+/// An error about a file of 1.`versionMinor`. What looks bad in a version that is newer
+/// than ours may be what that version brought: badFile becomes unsupported, and the
+/// message, which must not begin with the file's name, says why.
+[[nodiscard]] Error ofItsVersion(Error error, std::uint16_t versionMinor);
+
 /// Errors: badArgument (a text that is not UTF-8).
 Result<Bytes> encodeHead(const ShadowMap& map);
 /// Fills what HEAD holds of `info`, and the projections; `faces` has the right size.

@@ -1,5 +1,7 @@
 #include "format/index.h"
 
+#include <tbb/task_arena.h>
+
 #include <algorithm>
 #include <bit>
 #include <cstring>
@@ -47,9 +49,24 @@ std::uint64_t decodedBytes(const TileFacts& facts) {
 }
 
 Error overMemory(std::uint64_t needed, const ReadLimits& limits) {
-    return makeError(ErrorCode::tooLarge, "decodes to at least ", needed,
-                     " bytes, more than the ", limits.maxBytes,
-                     " that ReadLimits::maxBytes allows");
+    return makeError(ErrorCode::tooLarge, "takes at least ", needed,
+                     " bytes to decode, more than the ", limits.maxBytes,
+                     " that ReadLimits::maxBytes (--max-memory) allows");
+}
+
+/// What the threads take at most while they decode tiles, each of the largest ones.
+std::uint64_t workBytes(const Index& index, const TileGrid& grid) {
+    std::uint64_t largest = 0, tiles = 0;
+    for (std::uint64_t i = 0; i < index.tiles.size(); ++i) {
+        const TileEntry& entry = index.tiles[i];
+        if (entry.offset == 0) continue;
+        tiles += 1;
+        largest = std::max(largest,
+                           blockSpan(entry.length) + scratchBytes(grid.facts(i, entry)));
+    }
+    const auto threads =
+        static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
+    return std::min(tiles, threads) * largest;
 }
 
 /// A block that starts at `offset` and ends before `end`, sizes that nothing overflows.
@@ -324,6 +341,8 @@ Result<Index> decodeIndex(BytesView payload, const Prefix& prefix,
         if (entry.offset) memory += decodedBytes(facts);
         if (memory > limits.maxBytes) return overMemory(memory, limits);
     }
+    memory += workBytes(*index, grid);
+    if (memory > limits.maxBytes) return overMemory(memory, limits);
     if (auto s = checkCoverage(*index, grid, indexOffset); !s) return s.error();
     return index;
 }

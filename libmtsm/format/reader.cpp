@@ -65,7 +65,7 @@ bool allZero(BytesView bytes) {
 /// file has been proved.
 Result<BytesView> readBlock(const Source& source, const DirectoryEntry& entry,
                             Bytes& buffer) {
-    buffer.resize(blockSpan(entry.length));
+    reuse(buffer, blockSpan(entry.length));
     if (auto s = source.read(entry.offset, buffer); !s) return s.error();
     const BytesView bytes(buffer);
     if (auto s = checkBlockHeader(bytes, entry); !s) return s.error();
@@ -269,27 +269,28 @@ Status readTiles(const Source& source, const Prefix& prefix, const Index& index,
 
 }  // namespace
 
-Result<ShadowMap> readMapFile(const Source& source, const ReadLimits& limits,
-                              FileFacts* facts) {
+namespace {
+
+/// Everything behind the prefix.
+Result<ShadowMap> readContent(const Source& source, const Prefix& prefix,
+                              const ReadLimits& limits, FileFacts* facts) {
     const std::string& name = source.name();
-    const Result<Prefix> prefix = readPrefix(source);
-    if (!prefix) return prefix.error();
-    if (auto s = checkLimits(*prefix, limits); !s) return located(s.error(), name, ": ");
+    if (auto s = checkLimits(prefix, limits); !s) return located(s.error(), name, ": ");
     std::uint64_t indexLength = 0;
-    Result<Index> index = readIndex(source, *prefix, limits, indexLength);
+    Result<Index> index = readIndex(source, prefix, limits, indexLength);
     if (!index) return index.error();
 
-    const TileGrid grid(*prefix);
+    const TileGrid grid(prefix);
     Frame frame;
-    frame.faces.resize(prefix->faces);
+    frame.faces.resize(prefix.faces);
     for (MapFace& face : frame.faces)
         face.tiles.resize(std::size_t(grid.tilesX) * grid.tilesY);
     Bytes buffer;
     for (const DirectoryEntry& entry : index->blocks) {
-        if (auto s = readDirectoryBlock(source, *prefix, entry, buffer, frame); !s)
+        if (auto s = readDirectoryBlock(source, prefix, entry, buffer, frame); !s)
             return located(s.error(), name, ": ", blockName(entry.type, entry.offset));
     }
-    if (auto s = readTiles(source, *prefix, *index, frame.faces, facts); !s)
+    if (auto s = readTiles(source, prefix, *index, frame.faces, facts); !s)
         return s.error();
 
     auto map = ShadowMap::create(std::move(frame.info), std::move(frame.faces));
@@ -299,11 +300,26 @@ Result<ShadowMap> readMapFile(const Source& source, const ReadLimits& limits,
     if (auto s = checkHierarchy(frame.hierarchy, *map); !s)
         return located(s.error(), name, ": ", blockName(kHier, frame.hierarchyOffset));
     if (facts) {
-        facts->prefix = *prefix;
+        facts->prefix = prefix;
         facts->index = *std::move(index);
         facts->indexLength = indexLength;
     }
     return map;
+}
+
+}  // namespace
+
+Result<ShadowMap> readMapFile(const Source& source, const ReadLimits& limits,
+                              FileFacts* facts) {
+    const Result<Prefix> prefix = readPrefix(source);
+    if (!prefix) return prefix.error();
+    auto map = readContent(source, *prefix, limits, facts);
+    if (map) return map;
+    // The file's name comes first, and what the sentence says of it next.
+    const std::string name = source.name() + ": ";
+    std::string reason = map.error().message;
+    if (reason.starts_with(name)) reason.erase(0, name.size());
+    return located(ofItsVersion({map.error().code, reason}, prefix->versionMinor), name);
 }
 
 }  // namespace format

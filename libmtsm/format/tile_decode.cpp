@@ -3,6 +3,7 @@
 #include <zstd.h>
 
 #include <algorithm>
+#include <bit>
 #include <cstring>
 #include <new>
 
@@ -116,6 +117,12 @@ std::uint64_t mostTileBytes(const TileFacts& facts) noexcept {
            perLayer * facts.layers;
 }
 
+std::uint64_t scratchBytes(const TileFacts& facts) noexcept {
+    const std::uint64_t pixels = facts.place.pixels();
+    // Counts, and of the largest plane the decompressed bytes and the elements.
+    return 4 * pixels + 8 * std::max<std::uint64_t>(pixels, facts.layers);
+}
+
 struct TileDecoder::Scratch {
     Scratch() {
         if (!context) throw std::bad_alloc();
@@ -123,8 +130,14 @@ struct TileDecoder::Scratch {
     std::unique_ptr<ZSTD_DCtx, FreeContext> context{ZSTD_createDCtx()};
     std::vector<PlaneRecord> records;
     Bytes decoded;
-    std::vector<std::uint32_t> values;  // the plane that was read last
+    std::vector<std::uint32_t> counts;
+    std::vector<std::uint32_t> values;  // of a plane that is neither constant nor raw
 
+    /// Appends a plane's elements; `to` has the memory that it needs, or none.
+    template <typename T>
+    Status appendPlane(const PlaneRecord& r, BytesView stored,
+                       std::span<const std::uint32_t> begin, std::uint32_t width,
+                       std::vector<T>& to);
     Status readPlane(const PlaneRecord& r, BytesView stored,
                      std::span<const std::uint32_t> begin, std::uint32_t width);
     Status decompress(BytesView frame, std::uint64_t decodedLength);
@@ -148,7 +161,7 @@ Status TileDecoder::Scratch::decompress(BytesView frame, std::uint64_t decodedLe
         return bad("a zstd frame of ", content, " bytes, not ", decodedLength);
     if (ZSTD_findFrameCompressedSize(frame.data(), frame.size()) != frame.size())
         return bad("more or less than one zstd frame");
-    decoded.resize(decodedLength);
+    reuse(decoded, decodedLength);
     const std::size_t got = ZSTD_decompressDCtx(
         context.get(), decoded.data(), decoded.size(), frame.data(), frame.size());
     if (ZSTD_isError(got)) return bad("zstd: ", ZSTD_getErrorName(got));
@@ -168,16 +181,12 @@ void TileDecoder::Scratch::unpredict(std::span<const std::uint32_t> begin,
     }
 }
 
-/// A checked record and its bytes into `values`.
+/// A checked record and its bytes into `values`; it is not a constant.
 Status TileDecoder::Scratch::readPlane(const PlaneRecord& r, BytesView stored,
                                        std::span<const std::uint32_t> begin,
                                        std::uint32_t width) {
     const std::size_t size = r.elementSize;
     const std::size_t n = r.decodedLength / size;
-    if (PlaneEncoding(r.encoding) == PlaneEncoding::constant) {
-        values.assign(n, r.constant);
-        return {};
-    }
     BytesView bytes = stored;
     if (PlaneEncoding(r.encoding) == PlaneEncoding::zstd) {
         if (auto s = decompress(stored, r.decodedLength); !s) return s;
@@ -186,13 +195,34 @@ Status TileDecoder::Scratch::readPlane(const PlaneRecord& r, BytesView stored,
     // Byte j of element i lies at i * size + j, or shuffled at j * n + i.
     const bool shuffled = PlaneFilter(r.filter) != PlaneFilter::none;
     const std::size_t perElement = shuffled ? 1 : size, perByte = shuffled ? n : 1;
-    values.assign(n, 0);
+    reuse(values, n);
+    std::fill(values.begin(), values.end(), 0u);
     for (std::size_t j = 0; j < size; ++j) {
         const std::uint8_t* const from = bytes.data() + j * perByte;
         for (std::size_t i = 0; i < n; ++i)
             values[i] |= std::uint32_t(from[i * perElement]) << (8 * j);
     }
     if (PlaneFilter(r.filter) == PlaneFilter::gradient) unpredict(begin, width);
+    return {};
+}
+
+template <typename T>
+Status TileDecoder::Scratch::appendPlane(const PlaneRecord& r, BytesView stored,
+                                         std::span<const std::uint32_t> begin,
+                                         std::uint32_t width, std::vector<T>& to) {
+    static_assert(sizeof(T) == sizeof(std::uint32_t));
+    const std::size_t n = r.decodedLength / r.elementSize, at = to.size();
+    if (PlaneEncoding(r.encoding) == PlaneEncoding::constant) {
+        to.insert(to.end(), n, std::bit_cast<T>(r.constant));
+        return {};
+    }
+    const void* elements = stored.data();
+    if (PlaneEncoding(r.encoding) != PlaneEncoding::raw || r.elementSize != sizeof(T)) {
+        if (auto s = readPlane(r, stored, begin, width); !s) return s;
+        elements = values.data();
+    }
+    to.resize(at + n);
+    std::memcpy(to.data() + at, elements, n * sizeof(T));
     return {};
 }
 
@@ -254,22 +284,28 @@ Result<Tile> TileDecoder::decode(BytesView payload, const TileFacts& facts) {
         const PlaneRecord& r = s.records[i];
         const BytesView stored = in.bytes(r.storedLength);
         if (!in.ok()) return bad(text(slots[i]), ": reaches past the end");
-        Status status = s.readPlane(r, stored, tile.begin, facts.place.width);
-        if (status && slots[i].kind == PlaneKind::counts)
-            status = sumCounts(s.values, facts.layers, tile.begin);
-        if (!status) return bad(text(slots[i]), ": ", status.error().message);
-        const auto appendFloats = [&](std::vector<float>& to) {
-            const std::size_t at = to.size();
-            to.resize(at + s.values.size());
-            std::memcpy(to.data() + at, s.values.data(), s.values.size() * sizeof(float));
+        const auto appendTo = [&](auto& to) {
+            return s.appendPlane(r, stored, tile.begin, facts.place.width, to);
         };
-        if (slots[i].kind == PlaneKind::z) appendFloats(tile.z);
-        if (slots[i].kind == PlaneKind::v) {
-            if (tile.v.empty())
+        Status status;
+        switch (slots[i].kind) {
+            case PlaneKind::counts:
+                s.counts.clear();
+                status = appendTo(s.counts);
+                if (status) status = sumCounts(s.counts, facts.layers, tile.begin);
+                break;
+            case PlaneKind::z:
+                status = appendTo(tile.z);
+                break;
+            case PlaneKind::v:
                 tile.v.reserve(std::size_t(facts.layers) * facts.channels);
-            appendFloats(tile.v);
+                status = appendTo(tile.v);
+                break;
+            case PlaneKind::n:
+                status = appendTo(tile.n);
+                break;
         }
-        if (slots[i].kind == PlaneKind::n) tile.n = s.values;
+        if (!status) return bad(text(slots[i]), ": ", status.error().message);
     }
     if (in.left() != 0) return bad(in.left(), " bytes are left over at its end");
     return tile;

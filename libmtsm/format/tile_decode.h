@@ -1,6 +1,7 @@
 // tile_decode.h - the payload of a TILE block into the layers of one tile.
 #pragma once
 #include <memory>
+#include <vector>
 
 #include "format/header.h"
 #include "format/layout.h"
@@ -20,6 +21,16 @@ struct TileFacts {
 /// than raw, so a longer payload is refused before it is read.
 [[nodiscard]] std::uint64_t mostTileBytes(const TileFacts& facts) noexcept;
 [[nodiscard]] std::uint64_t leastTileBytes(const TileFacts& facts) noexcept;
+/// Bytes that a TileDecoder takes beside the tile that comes out.
+[[nodiscard]] std::uint64_t scratchBytes(const TileFacts& facts) noexcept;
+
+/// Resizes memory that is used again and again: its content is lost, and no more than
+/// `size` elements are ever held for its sake.
+template <typename T>
+void reuse(std::vector<T>& scratch, std::size_t size) {
+    if (scratch.capacity() < size) scratch = std::vector<T>();
+    scratch.resize(size);
+}
 
 /// Decodes tiles one after another with the same scratch memory; one per thread.
 class TileDecoder {

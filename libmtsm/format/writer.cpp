@@ -27,10 +27,10 @@ namespace {
 
 using base::makeError;
 
-/// A block as it lies in the file, and what the index says of it.
 // Enough for the threads to even out; the memory of a batch stays in the megabytes.
 constexpr std::size_t kTilesPerThread = 16;
 
+/// A block as it lies in the file, and what the index says of it.
 struct Block {
     Bytes bytes;
     BlockHeader header = {};
@@ -71,6 +71,7 @@ class MapWriter {
         if (!head) return head.error();
         const Result<Bytes> attributes = encodeAttributes(map_.info().attributes);
         if (!attributes) return attributes.error();
+        if (auto s = checkTexts(*head, *attributes); !s) return s;
         if (auto s = putRecord(prefix_); !s) return s;
         if (auto s = putBlock(kHead, kCritical, *head); !s) return s;
         if (!map_.info().attributes.empty()) {
@@ -119,6 +120,18 @@ class MapWriter {
         if (options_.progress && !options_.progress(done))
             return makeError(ErrorCode::cancelled, "writing was cancelled");
         return {};
+    }
+
+    /// What no reader would take unless it was told to.
+    Status checkTexts(BytesView head, BytesView attributes) const {
+        const std::uint64_t bytes =
+            head.size() - headFixedBytes(prefix_.faces) +
+            (map_.info().attributes.empty() ? 0 : attributes.size());
+        const std::uint64_t most = ReadLimits().maxAttributeBytes;
+        if (bytes <= most) return {};
+        return makeError(ErrorCode::badArgument, "attributes and texts take ", bytes,
+                         " bytes, more than the ", most,
+                         " that readers take: shorten them");
     }
 
     Status putTiles();

@@ -16,7 +16,7 @@
 #include <string_view>
 
 #include "base/message.h"
-#include "io/printable.h"
+#include "base/printable.h"
 #include "mtsm/points.h"
 
 namespace mtsm {
@@ -24,7 +24,7 @@ namespace {
 
 using base::concat;
 using base::makeError;
-using io::printable;
+using base::printable;
 
 constexpr std::size_t kBlock = std::size_t(1) << 20;  // bytes read at once
 constexpr std::size_t kLongestLine = std::size_t(1) << 20;
@@ -37,7 +37,8 @@ class LineReader {
     static Result<LineReader> open(const std::string& path) {
         LineReader reader;
         reader.name_ = path == "-" ? "standard input" : path;
-        reader.file_ = path == "-" ? stdin : std::fopen(path.c_str(), "rb");
+        reader.file_ =
+            path == "-" ? stdin : std::fopen(path.c_str(), "rbe");  // e: close on exec
         if (!reader.file_)
             return makeError(ErrorCode::io, path,
                              ": cannot open: ", std::strerror(errno));
@@ -114,12 +115,18 @@ struct WantedColumn {
     std::optional<double> whenEmpty;
 };
 
-std::string_view trimmed(std::string_view text) {
+std::string_view withoutBlanks(std::string_view text) {
     const auto blank = [](char c) { return c == ' ' || c == '\t'; };
     while (!text.empty() && blank(text.front()))
         text.remove_prefix(1);
     while (!text.empty() && blank(text.back()))
         text.remove_suffix(1);
+    return text;
+}
+
+/// A field without the blanks around it and without its quotes.
+std::string_view trimmed(std::string_view text) {
+    text = withoutBlanks(text);
     if (text.size() >= 2 && text.front() == '"' && text.back() == '"')
         text = text.substr(1, text.size() - 2);
     return text;
@@ -138,7 +145,7 @@ std::size_t fieldEnd(std::string_view line, std::size_t from) {
 
 /// A number as a user may write it; nothing if `text` is none.
 std::optional<double> parseNumber(std::string_view text) {
-    if (text.starts_with('+')) text.remove_prefix(1);
+    if (text.starts_with('+') && !text.starts_with("+-")) text.remove_prefix(1);
     double value = 0.0;
     const auto [end, problem] =
         std::from_chars(text.data(), text.data() + text.size(), value);
@@ -167,7 +174,7 @@ class Table {
             if (!next) return next.error();
             if (!*next) break;
             const std::string_view text = **next;
-            const std::string_view content = trimmed(text);
+            const std::string_view content = withoutBlanks(text);
             if (content.empty() || content.front() == '#') continue;
             Status s = headed ? readRow(text, onRow) : readHeader(text, onHeader);
             if (!s) return s;

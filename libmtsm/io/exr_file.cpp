@@ -10,24 +10,29 @@
 #include <ImfInputPart.h>
 #include <ImfTileDescription.h>
 
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
-#include <filesystem>
 
 #include "base/message.h"
-#include "io/printable.h"
+#include "base/printable.h"
+#include "base/system_error.h"
 
 namespace mtsm::io {
 namespace {
 
-namespace fs = std::filesystem;
 using base::makeError;
+using base::printable;
 
 constexpr std::uint32_t kMultiPartFlag = 0x1000;
 constexpr std::size_t kLongestName = 255;
 constexpr std::int64_t kLargestChunk = std::int64_t(1) << 30;  // decoded bytes
-constexpr int kBandRows = 64;  // rows per call, rounded up to whole chunks
+constexpr int kBandRows = 64;                                  // rows per call, at most
+constexpr std::int64_t kBandBytes = std::int64_t(64) << 20;    // of them, as floats
 
 std::uint32_t readUint32(ExrStream& stream) {
     unsigned char b[4];
@@ -99,20 +104,35 @@ Result<int> chunkRows(const Imf::Header& header, std::int64_t width,
     return static_cast<int>(rows);
 }
 
+/// Rows per call: whole chunks, at least one, within both bounds of a band.
+int bandRows(int rowsOfChunk, std::int64_t bytesOfRow) {
+    const std::int64_t rows = std::min<std::int64_t>(kBandRows, kBandBytes / bytesOfRow);
+    return static_cast<int>(std::max<std::int64_t>(rows / rowsOfChunk, 1) * rowsOfChunk);
+}
+
 }  // namespace
 
 Result<std::unique_ptr<ExrStream>> ExrStream::open(const std::string& path) {
-    std::error_code problem;
-    if (fs::is_directory(path, problem))
-        return makeError(ErrorCode::io, path, ": is a folder, not an EXR file");
-    std::unique_ptr<ExrStream> stream(new ExrStream);
-    stream->file_ = std::fopen(path.c_str(), "rb");
-    if (!stream->file_)
-        return makeError(ErrorCode::io, path, ": cannot open: ", std::strerror(errno));
-    stream->length_ = fs::file_size(path, problem);
-    if (problem)
+    // Opening a pipe that nobody writes to would wait for ever: O_NONBLOCK does not.
+    const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
+    if (fd < 0)
         return makeError(ErrorCode::io, path,
-                         ": cannot tell its size: ", problem.message());
+                         ": cannot open: ", base::systemReason(errno));
+    std::unique_ptr<ExrStream> stream(new ExrStream);
+    stream->file_ = ::fdopen(fd, "rb");
+    struct stat info = {};
+    if (!stream->file_ || ::fstat(fd, &info) != 0) {
+        const int reason = errno;
+        if (!stream->file_) ::close(fd);
+        return makeError(ErrorCode::io, path,
+                         ": cannot open: ", base::systemReason(reason));
+    }
+    if (S_ISDIR(info.st_mode))
+        return makeError(ErrorCode::io, path, ": is a folder, not an EXR file");
+    if (!S_ISREG(info.st_mode))
+        return makeError(ErrorCode::io, path,
+                         ": is no regular file; an EXR is not read from front to back");
+    stream->length_ = static_cast<std::uint64_t>(info.st_size);
     return stream;
 }
 
@@ -194,8 +214,8 @@ Status readExrChannels(
     if (!rows) return rows.error();
 
     Imf::InputPart input(file, part);
-    const int step = (kBandRows + *rows - 1) / *rows * *rows;
     const std::size_t stride = channels.size() * sizeof(float);
+    const int step = bandRows(*rows, std::int64_t(stride) * window.width);
     std::vector<float> band;
     for (std::int64_t y = 0; y < window.height; y += step) {
         const auto count =

@@ -21,6 +21,7 @@ namespace mtsm::io {
 /// A file as OpenEXR wants to see it. Reading past the end throws, as the interface asks.
 class ExrStream final : public Imf::IStream {
   public:
+    /// A regular file; everything else is refused without waiting. Errors: io.
     static Result<std::unique_ptr<ExrStream>> open(const std::string& path);
     ~ExrStream() override;
 
@@ -47,8 +48,9 @@ auto guardExr(const std::string& path, Body&& body) -> decltype(body());
 Status checkExrHeader(ExrStream& stream, const std::string& path);
 
 /// Some channels of one part, widened to float, interleaved, from the top row down.
-/// `sink` gets every pixel once, in bands of whole rows, so that memory grows only with
-/// what the file proves to hold. Refuses subsampled channels and chunks beyond reason.
+/// `sink` gets every pixel once, in bands of whole rows of at most 64 MiB (or one row of
+/// chunks), so that memory grows only with what the file proves to hold. Refuses
+/// subsampled channels and chunks beyond reason.
 Status readExrChannels(
     Imf::MultiPartInputFile& file, int part, const std::vector<std::string>& channels,
     const std::string& path,

@@ -14,15 +14,15 @@
 #include <optional>
 
 #include "base/message.h"
+#include "base/printable.h"
 #include "io/exr_file.h"
-#include "io/printable.h"
 
 namespace mtsm {
 namespace {
 
 using base::concat;
 using base::makeError;
-using io::printable;
+using base::printable;
 
 /// Three channels that belong together.
 struct Layer {
@@ -77,6 +77,20 @@ std::string lastWord(const std::string& name) {
         if (c != '_' && c != '-' && c != ' ') word.push_back(char(std::tolower(c)));
     }
     return word;
+}
+
+/// The words of a name in lower case: it is split at whatever is no letter or digit, and
+/// where a capital follows a small letter.
+std::vector<std::string> wordsOf(const std::string& name) {
+    std::vector<std::string> words(1);
+    bool small = false;  // the character before
+    for (unsigned char c : name) {
+        if (!std::isalnum(c) || (small && std::isupper(c))) words.emplace_back();
+        if (std::isalnum(c)) words.back().push_back(char(std::tolower(c)));
+        small = std::islower(c);
+    }
+    words.erase(std::remove(words.begin(), words.end(), ""), words.end());
+    return words;
 }
 
 bool isOneOf(const std::string& word, const std::vector<std::string>& words) {
@@ -143,6 +157,21 @@ std::string listChannels(const Imf::MultiPartInputFile& file) {
     return text;
 }
 
+/// True if the layer's name says that its values are not those of world space, such as
+/// "camera.Position" and "Pref.P". A "View Layer" is no view.
+bool isOfOtherSpace(const Layer& layer) {
+    static const std::vector<std::string> kSpaces{"camera", "cam",     "object", "obj",
+                                                  "local",  "tangent", "ref",    "pref",
+                                                  "rest",   "light",   "screen", "ndc"};
+    const std::vector<std::string> words = wordsOf(layer.partName + ":" + layer.prefix);
+    for (std::size_t i = 0; i < words.size(); ++i) {
+        const bool view = words[i] == "view" || words[i] == "views";
+        const bool viewLayer = i + 1 < words.size() && words[i + 1].starts_with("layer");
+        if (isOneOf(words[i], kSpaces) || (view && !viewLayer)) return true;
+    }
+    return false;
+}
+
 /// True if `name` is how a user may call the layer: whole, or the end of it.
 bool answersTo(const Layer& layer, const std::string& name, bool whole) {
     const std::string full = layer.partName + ":" + layer.prefix;
@@ -178,8 +207,12 @@ std::vector<Layer> matchingLayers(const Imf::MultiPartInputFile& file,
         keep([&](const Layer& l) { return answersTo(l, name, true); });
         keep([&](const Layer& l) { return answersTo(l, name, false); });
     } else {
-        keep([&](const Layer& l) { return isOneOf(lastWord(l.path()), wanted.words); });
-        keep([&](const Layer& l) { return nothingButThisLayer(file, l); });
+        keep([&](const Layer& l) {
+            return isOneOf(lastWord(l.path()), wanted.words) && !isOfOtherSpace(l);
+        });
+        keep([&](const Layer& l) {
+            return nothingButThisLayer(file, l) && !isOfOtherSpace(l);
+        });
     }
     return found;
 }
@@ -197,9 +230,9 @@ Result<Layer> chooseLayer(const Imf::MultiPartInputFile& file, const std::string
     if (found.size() == 1) return found.front();
     if (found.empty()) {
         const std::string what =
-            name.empty()
-                ? concat("no three float channels that are known to mean ", wanted.noun)
-                : concat("no layer \"", name, "\" of three float channels");
+            name.empty() ? concat("no three float channels that are known to mean ",
+                                  wanted.noun, " in world space")
+                         : concat("no layer \"", name, "\" of three float channels");
         return makeError(ErrorCode::badArgument, path, ": ", what,
                          "; name the layer with ", wanted.option,
                          "; channels in the file: ", listChannels(file));
@@ -262,7 +295,9 @@ bool isFinite(glm::vec3 p) {
 Result<Pass> readLayer(Imf::MultiPartInputFile& file, const Layer& layer,
                        const PassOptions& options, const std::string& path) {
     Pass pass;
-    pass.layer = layer.path();
+    pass.layer = file.parts() > 1 && !layer.prefix.empty()
+                     ? layer.partName + ":" + layer.prefix
+                     : layer.path();
     pass.data = io::exrDataWindow(file, layer.part);
     const Imath::Box2i frame = file.header(layer.part).displayWindow();
     pass.display = {frame.min.x, frame.min.y,
@@ -279,14 +314,12 @@ Result<Pass> readLayer(Imf::MultiPartInputFile& file, const Layer& layer,
     std::vector<std::string> names(layer.channels.begin(), layer.channels.end());
     if (alphaAlong) names.push_back(alpha->channel);
     const std::size_t stride = names.size();
-    pass.values.reserve(pixels);
-    pass.surface.reserve(pixels);
     auto done = io::readExrChannels(
         file, layer.part, names, path, [&](const float* v, std::size_t count) {
             for (const float* end = v + count * stride; v != end; v += stride) {
                 const glm::vec3 p(v[0], v[1], v[2]);
                 pass.values.push_back(p);
-                pass.surface.push_back(isFinite(p) && !(alphaAlong && v[3] == 0.0f));
+                pass.surface.push_back(isFinite(p) && (!alphaAlong || v[3] > 0.0f));
             }
         });
     if (!done) return done.error();
@@ -295,7 +328,7 @@ Result<Pass> readLayer(Imf::MultiPartInputFile& file, const Layer& layer,
         done = io::readExrChannels(file, alpha->part, {alpha->channel}, path,
                                    [&](const float* v, std::size_t count) {
                                        for (std::size_t i = 0; i < count; ++i, ++at)
-                                           if (v[i] == 0.0f) pass.surface[at] = 0;
+                                           if (!(v[i] > 0.0f)) pass.surface[at] = 0;
                                    });
         if (!done) return done.error();
     }

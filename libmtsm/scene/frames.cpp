@@ -6,6 +6,8 @@
 #include <cstring>
 #include <limits>
 
+#include "base/printable.h"
+
 namespace mtsm::scene {
 namespace {
 
@@ -13,15 +15,6 @@ struct FrameHead {
     FrameKind kind;
     std::uint32_t bytes;
 };
-
-/// Names and messages end up in one line of somebody's terminal.
-std::string printable(std::string_view text) {
-    std::string clean(text);
-    std::replace_if(
-        clean.begin(), clean.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; },
-        ' ');
-    return clean;
-}
 
 template <typename T>
 std::span<const std::uint8_t> bytesOf(const T& value) {
@@ -44,11 +37,11 @@ bool isProportion(float x) {
 
 void FrameWriter::frame(FrameKind kind, std::span<const std::uint8_t> record,
                         std::string_view text) {
-    const std::string clean = printable(text.substr(0, kMaxFrameBytes - record.size()));
-    const FrameHead head{kind, std::uint32_t(record.size() + clean.size())};
+    text = text.substr(0, kMaxFrameBytes - record.size());
+    const FrameHead head{kind, std::uint32_t(record.size() + text.size())};
     out_.write(&head, sizeof(head));
     out_.write(record.data(), record.size());
-    out_.write(clean.data(), clean.size());
+    out_.write(text.data(), text.size());
 }
 
 void FrameWriter::failure(ErrorCode code, std::string_view text) {
@@ -71,7 +64,8 @@ void FrameWriter::light(const LightRecord& light, std::string_view name) {
 
 std::string Frame::text(std::size_t from) const {
     if (from >= payload.size()) return {};
-    return {payload.begin() + std::ptrdiff_t(from), payload.end()};
+    return base::printable(
+        {reinterpret_cast<const char*>(payload.data()) + from, payload.size() - from});
 }
 
 std::optional<Frame> FrameReader::next() {

@@ -47,6 +47,8 @@ Error errorOf(const ChildEnd& end, const std::string& path, std::uint64_t import
                 return makeError(ErrorCode::badFile, path,
                                  ": the importer crashed on this file (signal ",
                                  end.number, "); re-export or repair it");
+            if (end.number == SIGINT || end.number == SIGTERM)
+                return makeError(ErrorCode::cancelled, path, ": reading was cancelled");
             return makeError(ErrorCode::io, path, ": the importer was killed (signal ",
                              end.number, "); try again with more free memory");
         case ChildEnd::How::exited:
@@ -102,8 +104,8 @@ Status receive(Isolated& child, const std::string& path, std::uint64_t importerB
             }
         }
     }
-    const ChildEnd end = child.wait();
-    return errorOf(end, path, importerBytes);
+    if (!child.ended()) return nonsense(path);
+    return errorOf(child.wait(), path, importerBytes);
 }
 
 Error unreadable(const std::string& path) {

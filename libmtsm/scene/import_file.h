@@ -23,7 +23,8 @@ Status checkReadable(const std::string& path);
 
 /// Runs `send` in a child that may map importerBytes, and hands over what it says. Errors
 /// name `path`: what the child reports, what the sink returns, badFile if the child
-/// crashes or talks nonsense, tooLarge if it needs more memory, io if it gets killed.
+/// crashes or talks nonsense, tooLarge if it needs more memory, cancelled if SIGINT or
+/// SIGTERM ends it, io if it gets killed otherwise.
 Status importFile(const std::string& path, std::uint64_t importerBytes,
                   const std::function<void(FrameWriter&)>& send, const ImportSink& sink);
 

@@ -173,10 +173,12 @@ Result<Isolated> Isolated::start(const std::function<void(ChildPipe&)>& body,
 }
 
 Isolated::Isolated(Isolated&& other) noexcept
-    : child_(std::exchange(other.child_, -1)), fd_(std::exchange(other.fd_, -1)) {}
+    : child_(std::exchange(other.child_, -1)),
+      fd_(std::exchange(other.fd_, -1)),
+      ended_(other.ended_) {}
 
 Isolated::~Isolated() {
-    if (child_ > 0) kill(child_, SIGKILL);
+    ended_ = false;  // nobody asks how it would have ended
     (void)wait();
 }
 
@@ -192,12 +194,14 @@ std::size_t Isolated::read(void* to, std::size_t count) {
         if (n <= 0) break;
         done += std::size_t(n);
     }
+    if (done < count) ended_ = true;
     return done;
 }
 
 ChildEnd Isolated::wait() {
     closePipe();
     if (child_ <= 0) return {};
+    if (!ended_) kill(child_, SIGKILL);
     int status = 0;
     pid_t got = -1;
     do {

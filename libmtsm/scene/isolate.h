@@ -64,8 +64,10 @@ class Isolated {
 
     /// Waits for `count` bytes; gives fewer only when the child has ended.
     [[nodiscard]] std::size_t read(void* to, std::size_t count);
-    /// Closes the pipe and waits for the child's end. To be called once read() came short
-    /// or nothing more is wanted: a child that goes on writing gets killed by that.
+    /// True once read() came short.
+    [[nodiscard]] bool ended() const noexcept { return ended_; }
+    /// Closes the pipe and waits for the child's end. A child whose stream has not ended
+    /// is killed, for it may never end by itself.
     [[nodiscard]] ChildEnd wait();
 
   private:
@@ -74,6 +76,7 @@ class Isolated {
 
     pid_t child_ = -1;  // -1: reaped
     int fd_ = -1;
+    bool ended_ = false;
 };
 
 }  // namespace mtsm::scene

@@ -74,9 +74,9 @@ OPTIONS = {
     "query": """--point --normal --points --rays --position --position-layer --normal-pass
                 --normal-layer --plane --size --no-normal --output --samples --seed --bias --threshold
                 --light-shape --light-position --light-radius --light-size --light-angle --method
-                --quantity --weight --threads --json --stats --quiet --version --help""",
+                --quantity --weight --threads --max-memory --json --stats --quiet --version --help""",
     "dump": """--json --pixel --face --plot --output --image --channel --histogram --validate
-               --version --help""",
+               --max-memory --version --help""",
 }
 
 
@@ -260,6 +260,100 @@ class EveryTool(ToolTest):
         self.fails(run("query", "none.mtsm", "--point", "0,0,0"), 3, "none.mtsm", "No such file")
         self.fails(run("dump", "none.mtsm"), 3, "none.mtsm", "No such file")
         self.leaves("scene.obj")
+
+    def test_max_memory_bounds_what_a_map_takes(self):
+        self.bake_map()
+        for command in (["query", "key.mtsm", "--point", "0,0,0"], ["dump", "key.mtsm"],
+                        ["dump", "key.mtsm", "--validate"], ["dump", "key.mtsm", "--pixel", "1,1"]):
+            self.good(run(*command, "--max-memory", "64M"))
+            self.fails(run(*command, "--max-memory", "1K"), 2, "key.mtsm", "1024", "ReadLimits::maxBytes",
+                       "--max-memory")
+            self.fails(run(*command, "--max-memory", "lots"), 2, "--max-memory")
+
+    def test_an_empty_value_is_a_usage_error(self):
+        self.bake_map()
+        for command in (["dump", "key.mtsm", "--pixel", ""], ["dump", "key.mtsm", "--plot", ""],
+                        ["dump", "key.mtsm", "--image", ""], ["query", "key.mtsm", "--points", ""],
+                        ["query", "key.mtsm", "--point", "0,0,0", "-o", ""],
+                        ["query", "key.mtsm", "--point", "0,0,+-1"]):
+            with self.subTest(command=command):
+                self.fails(run(*command), 2, [word for word in command if word.startswith("-")][-1][-6:])
+
+    def test_text_of_a_file_cannot_steer_a_terminal(self):
+        nasty = "a\x1b[2J\u009b2Jb"
+        shutil.copy("scene.obj", nasty + ".obj")
+        self.good(run("bake", nasty + ".obj", *LIGHT, "-o", "a.mtsm", "--quiet"))
+        for command in (["dump", "a.mtsm"], ["dump", "a.mtsm", "--json"]):
+            text = self.good(run(*command)).stdout
+            self.assertFalse([c for c in text if c != "\n" and (c < " " or "\x7f" <= c <= "\x9f")])
+            self.assertIn("1b[2J", text)
+        self.assertIn(nasty, json.loads(run("dump", "a.mtsm", "--json").stdout)["settings"])
+
+    def test_a_signal_ends_a_tool_that_reads_from_a_pipe(self):
+        self.bake_map()
+        for stop in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            process = subprocess.Popen([TOOLS["query"], "key.mtsm", "--points", "-", "-o", "a.csv"],
+                                       stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+            process.stdin.write(b"x,y,z\n" + b"0,0,0\n" * 100000)  # more than a pipe holds: it reads
+            process.stdin.flush()
+            process.send_signal(stop)
+            self.assertEqual(process.wait(timeout=60), -stop)
+            process.stdin.close()
+            process.stderr.close()
+        self.leaves("scene.obj", "key.mtsm")
+
+    def test_a_signal_that_was_ignored_stays_ignored(self):
+        self.bake_map()
+        process = subprocess.Popen([TOOLS["query"], "key.mtsm", "--points", "-"], text=True,
+                                   stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                                   preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+        process.stdin.write("x,y,z\n" + "0,0,0\n" * 100000)
+        process.stdin.flush()
+        process.send_signal(signal.SIGHUP)
+        process.communicate(timeout=60)
+        self.assertEqual(process.returncode, 0)
+
+    def test_a_signal_while_a_map_is_written_leaves_no_temporary(self):
+        lines = []  # a bumpy floor, which compresses slowly
+        for y in range(200):
+            for x in range(200):
+                lines.append(f"v {x * 0.02 - 2} {(x * 7919 + y * 104729) % 997 / 2000} {y * 0.02 - 2}")
+        for y in range(199):
+            for x in range(199):
+                i = y * 200 + x + 1
+                lines.append(f"f {i} {i + 1} {i + 201} {i + 200}")
+        pathlib.Path("bumpy.obj").write_text("\n".join(lines))
+        for stop in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            process = subprocess.Popen(
+                [TOOLS["bake"], "bumpy.obj", *LIGHT, "--resolution", "1024", "--level", "19", "--threads", "1",
+                 "-o", "a.mtsm"], stderr=subprocess.PIPE, text=True)
+            while process.poll() is None and not any(n.endswith(".part") for n in os.listdir(".")):
+                pass
+            process.send_signal(stop)
+            rest = process.communicate(timeout=120)[1]
+            self.assertEqual(process.returncode, 3, rest)
+            self.assertIn("cancelled", rest)
+            self.leaves("scene.obj", "bumpy.obj")
+
+    def test_a_pipe_can_be_the_output_wherever_it_lies(self):
+        self.bake_map()
+        os.mkfifo("pipe.mtsm")
+        reader = subprocess.Popen(["cat", "pipe.mtsm"], stdout=subprocess.PIPE)
+        before = as_nobody if os.getuid() == 0 else None  # whom a folder may be locked for
+        os.chmod("pipe.mtsm", 0o666)
+        os.chmod(".", 0o555)
+        try:
+            done = run("bake", "scene.obj", *LIGHT, "--exclude", "floor", "--resolution", 128, "--quiet",
+                       "-o", "pipe.mtsm", before=before)
+        except (PermissionError, subprocess.SubprocessError):
+            reader.kill()
+            self.skipTest("the tools cannot be run as another user here")
+        finally:
+            os.chmod(".", 0o755)
+            if os.path.exists("pipe.mtsm") and reader.poll() is None:
+                os.close(os.open("pipe.mtsm", os.O_WRONLY | os.O_NONBLOCK))
+        self.good(done)
+        self.assertEqual(len(reader.communicate(timeout=60)[0]), os.path.getsize("key.mtsm"))
 
     def test_a_full_stdout_is_reported(self):
         if not os.path.exists("/dev/full"):
@@ -542,10 +636,14 @@ class Query(ToolTest):
         alpha[middle] = 0.0
         xs[middle + 1] = math.nan
         one = [1.0] * len(xs)
-        write_exr("p.exr", width, height, {"View.Position.X": xs, "View.Position.Y": ys,
-                                           "View.Position.Z": zs, "A": alpha, "N.X": ys, "N.Y": one,
+        write_exr("p.exr", width, height, {"ViewLayer.Position.X": xs,
+                                           "ViewLayer.Position.Y": ys, "ViewLayer.Position.Z": zs, "A": alpha, "N.X": ys, "N.Y": one,
                                            "N.Z": ys})
-        self.good(run("query", "key.mtsm", "--position", "p.exr", "--normal-pass", "p.exr", "-o", "s.exr"))
+        passes = ["--position", "p.exr", "--normal-pass", "p.exr"]
+        done = self.good(run("query", "key.mtsm", *passes, "-o", "s.exr", "--stats", "--quiet", "--json"))
+        self.assertIn('positions from layer "ViewLayer.Position", normals from layer "N"', done.stderr)
+        j = json.loads(done.stdout)
+        self.assertEqual((j["positionLayer"], j["normalLayer"]), ("ViewLayer.Position", "N"))
         w, h, channels = read_exr("s.exr")
         self.assertEqual((w, h), (width, height))
         lines = "".join(f"{x!r},0,{z!r},0,1,0\n" for x, z in zip(xs, zs))
@@ -555,6 +653,10 @@ class Query(ToolTest):
         for got, want in zip(channels["shadow"], expected):
             self.assertAlmostEqual(got, want, places=6)
 
+        write_exr("bare.exr", 2, 2, {"R": [0] * 4, "G": [0] * 4, "B": [0] * 4})
+        self.good(run("query", "key.mtsm", "--position", "bare.exr", "-o", "s.exr"))
+        self.fails(run("query", "key.mtsm", "--position", "bare.exr", "--normal-pass", "./bare.exr", "-o",
+                       "s.exr"), 2, "--normal-pass", "--normal-layer")
         write_exr("q.exr", 2, 2, {"a.P.X": [0] * 4, "a.P.Y": [0] * 4, "a.P.Z": [0] * 4, "b.P.X": [3] * 4,
                                   "b.P.Y": [0] * 4, "b.P.Z": [3] * 4})
         self.fails(run("query", "key.mtsm", "--position", "q.exr", "-o", "s.exr"), 2, "--position-layer",
@@ -573,6 +675,11 @@ class Query(ToolTest):
         self.assertEqual([v["shadow"] for v in j["values"]], [1, 0])
         for word in ("2 points", "32 rays", "rays per second", "may be truncated"):
             self.assertIn(word, done.stderr)
+        for quantity in ("shadow", "visibility"):
+            done = self.good(run("query", "key.mtsm", "--point", "0,0,0", "--json", "--quantity", quantity))
+            self.assertEqual([list(v) for v in json.loads(done.stdout)["values"]], [[quantity]])
+        done = self.good(run("query", "key.mtsm", "--point", "0,0,0", "--stats", "--quiet"))
+        self.assertIn("rays per second", done.stderr)
         many = "x,y,z\n" + "9,0,9\n" * 10001
         self.fails(run("query", "key.mtsm", "--points", "-", "--json", stdin=many), 2, "10 000")
         self.assertEqual(self.good(run("query", "key.mtsm", "--point", "0,0,0")).stderr, "")
@@ -597,10 +704,9 @@ class Query(ToolTest):
              "4096", "--threads", "1", "-o", "a.png"], stderr=subprocess.PIPE, text=True)
         first = process.stderr.readline()  # progress, after two seconds
         process.send_signal(signal.SIGINT)
-        rest = process.communicate(timeout=120)[1]
+        process.communicate(timeout=120)
         self.assertRegex(first, r"^mtsm-query: tracing: \d+ %$")
-        self.assertEqual(process.returncode, 3)
-        self.assertIn("stopped", rest)
+        self.assertEqual(process.returncode, -signal.SIGINT)
         self.leaves("scene.obj", "key.mtsm")
 
 

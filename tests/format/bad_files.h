@@ -1,6 +1,7 @@
 // bad_files.h - small files that every reader has to refuse. Those in tests/bad are
 // written from here; whatever else ever breaks a reader is put beside them.
 #pragma once
+#include <map>
 #include <string>
 #include <vector>
 
@@ -14,6 +15,51 @@ struct BadFile {
     std::string name;  ///< begins with "bad_" (exit code 4) or "unsupported_" (5)
     Bytes bytes;
 };
+
+/// What the two readers have to say of a file, so that each fails for its own reason.
+struct BadWords {
+    std::string readMap, readerPy;
+};
+inline const std::map<std::string, BadWords>& badWords() {
+    static const std::map<std::string, BadWords> words = {
+        {"bad_empty", {"is empty", "is empty"}},
+        {"bad_cut_in_half", {"no finished mark", "no finished mark"}},
+        {"bad_no_trailer", {"no finished mark", "no finished mark"}},
+        {"bad_byte_behind_the_end", {"no finished mark", "no finished mark"}},
+        {"bad_flipped_bit_in_a_tile",
+         {"tile face 0 (0, 0) at offset 576: the content is damaged",
+          "tile face 0 (0, 0) at offset 576: the content is damaged"}},
+        {"unsupported_major_version", {"format version 2.0", "format version 2.0"}},
+        {"unsupported_critical_block", {"NEED", "NEED"}},
+        {"unsupported_visibility_rule", {"visibility rule 1", "visibility rule 1"}},
+        {"bad_prefix_of_nine_faces", {"prefix: 9 faces", "prefix: 9 faces"}},
+        {"bad_tile_twice", {"index: tile face 0 (1, 0)", "index: tile face 0 (1, 0)"}},
+        {"bad_tile_outside",
+         {"offset 18446744073709551608 do not lie between", "index: tile face 0"}},
+        {"bad_tiles_swapped", {"index: tile face 0 (1, 0)", "says other than the index"}},
+        {"bad_tile_left_out",
+         {"leaves a gap", "index: tile face 0 (1, 1) at offset 2248, not 1936"}},
+        {"bad_index_of_other_prefix", {"another prefix", "another prefix"}},
+        {"bad_hierarchy", {"block HIER at offset", "block HIER: is not that"}},
+        {"bad_total_of_layers", {"says 18446744073709551615 layers", "number of layers"}},
+        {"bad_attribute_length",
+         {"attribute 0 of 3 reaches past", "block ATTR at offset 432: reaches past"}},
+        {"bad_text_not_utf8", {"\"software\" is not UTF-8", "not UTF-8"}},
+        {"bad_counts_do_not_add_up", {"add up to more", "do not add up"}},
+        {"bad_depth_is_nan", {"depth nan", "depth nan"}},
+        {"bad_plane_claims_too_much",
+         {"claims 4611686018427387904", "decoded length 4611686018427387904"}},
+        {"bad_constant_claims_too_much", {"add up to more", "do not add up"}},
+        {"bad_filter_without_compression",
+         {"not compressed", "filter without compression"}},
+        {"bad_zstd_frame", {"no zstd frame", "no zstd frame"}},
+        {"unsupported_newer_encoding",
+         {"version 1.1, newer than the 1.0 that this reader knows: tile face 0 (0, 0) at "
+          "offset 576: plane z: unknown encoding 3",
+          "version 1.1, newer than the 1.0"}},
+    };
+    return words;
+}
 
 /// All checksums are right wherever the name does not say otherwise.
 inline std::vector<BadFile> badFiles() {
@@ -92,6 +138,10 @@ inline std::vector<BadFile> badFiles() {
         plane(s, 0, [](PlaneRecord& r) { r.encoding = 2, r.storedLength = 63; });
         Bytes& tile = s.payload(kTile);
         tile.erase(tile.begin() + long(firstPlane));
+    });
+    add("unsupported_newer_encoding", [&](Surgery& s) {
+        s.prefix.versionMinor = 1;
+        plane(s, 1, [](PlaneRecord& r) { r.encoding = 3; });
     });
     return all;
 }

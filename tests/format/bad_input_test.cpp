@@ -1,5 +1,7 @@
 // Files that are not what they claim to be.
 #include <sys/stat.h>
+#include <tbb/global_control.h>
+#include <tbb/task_arena.h>
 #include <unistd.h>
 #include <zstd.h>
 
@@ -69,6 +71,21 @@ Bytes withIndex(const std::function<void(Index&)>& change) {
     Surgery s(plainFile());
     s.onIndex = change;
     return s.close();
+}
+
+/// What decoding takes beside the map, on one thread: the stored bytes of a tile, its
+/// counts, and of its largest plane the decompressed bytes and the elements.
+std::uint64_t largestTileWork(const Bytes& file) {
+    std::uint64_t most = 0;
+    for (const auto& part : Surgery(file).parts) {
+        if (part.type != kTile) continue;
+        const auto t = peek<TileRecord>(part.payload, 0);
+        const std::uint64_t pixels = std::uint64_t(t.width) * t.height;
+        most = std::max<std::uint64_t>(
+            most, (32 + part.payload.size() + 7) / 8 * 8 + 4 * pixels +
+                      8 * std::max<std::uint64_t>(pixels, t.layers));
+    }
+    return most;
 }
 
 /// The parts that a message may name.
@@ -227,6 +244,48 @@ TEST_CASE("a newer minor version is read, and what it adds is passed over",
     s.prefix.versionMinor = 0;
     checkRefused(s.close(), ErrorCode::badFile,
                  "block HEAD at offset 64: 3 bytes are left");
+}
+
+TEST_CASE("what a newer minor version may have brought is unsupported, not damage",
+          "[format][bad-input]") {
+    const auto check = [](const std::function<void(Surgery&)>& change,
+                          const std::string& words) {
+        Surgery s(plainFile());
+        change(s);
+        checkRefused(s.close(), ErrorCode::badFile, words);
+        s.prefix.versionMinor = 3;
+        const Bytes newer = s.close();
+        checkRefused(newer, ErrorCode::unsupported, words);
+        checkRefused(newer, ErrorCode::unsupported,
+                     "t.mtsm: is of version 1.3, newer than the 1.0 that this reader "
+                     "knows: ");
+        checkRefused(newer, ErrorCode::unsupported, "; use a newer libmtsm");
+    };
+    const auto plane = [](int n, const EditPlane& edited) {
+        return [=](Surgery& s) {
+            edit<PlaneRecord>(s.payload(kTile), Surgery::planeAt(n), edited);
+        };
+    };
+    check([](Surgery& s) { s.prefix.reserved[0] = 1; }, "prefix: reserved");
+    check([](Surgery& s) { poke(s.payload(kHead), 8, 17u); }, "shape");
+    check([](Surgery& s) { poke(s.payload(kHead), 12, 1u); }, "reserved");
+    check([](Surgery& s) { poke(s.payload(kTotl), 36, 2u); }, "unknown flags 2");
+    check(plane(1, [](PlaneRecord& r) { r.encoding = 3; }), "unknown encoding 3");
+    check(plane(1, [](PlaneRecord& r) { r.filter = 3; }), "unknown filter 3");
+    check(plane(1, [](PlaneRecord& r) { r.reserved2 = 1; }), "reserved");
+    check([](Surgery& s) { s.onIndex = [](Index& i) { i.tiles[0].planes |= 4; }; },
+          "unknown planes");
+    check([](Surgery& s) { s.onIndex = [](Index& i) { i.blocks[0].flags |= 2; }; },
+          "unknown flags");
+    // So says probe, which sees the prefix alone.
+    Surgery s(plainFile());
+    s.prefix.versionMinor = 3;
+    s.prefix.tileSize = 512;
+    const Bytes file = s.close();
+    const auto p = probe(file.data(), file.size(), "n");
+    REQUIRE_FALSE(p);
+    CHECK(p.error().code == ErrorCode::unsupported);
+    CHECK_THAT(p.error().message, Catch::StartsWith("n: is of version 1.3, newer"));
 }
 
 TEST_CASE("a prefix is refused for each field that it may not have",
@@ -467,6 +526,23 @@ TEST_CASE("attributes that lie are refused", "[format][bad-input]") {
             poke(b, 0, 4u);
         },
         "\"shot\" is there twice");
+    // Also when nobody here knows the type of the first.
+    Surgery s(plainFile());
+    s.prefix.versionMinor = 1;
+    Bytes& b = s.payload(kAttr);
+    Bytes first(b.begin() + 8, b.begin() + 8 + 16 + 9);
+    first[0] = 77;
+    b.insert(b.begin() + 8, first.begin(), first.end());
+    poke(b, 0, 4u);
+    checkRefused(s.close(), ErrorCode::unsupported, "\"shot\" is there twice");
+}
+
+TEST_CASE("a message quotes no control characters of a file", "[format][bad-input]") {
+    Surgery s(plainFile());
+    Bytes& b = s.payload(kAttr);
+    edit<AttributeRecord>(b, 8, [](AttributeRecord& r) { r.type = 3; });
+    poke(b, 24, std::array<char, 4>{'\x1b', '\n', '\xc2', '\x9b'});
+    checkRefused(s.close(), ErrorCode::badFile, "attribute \"\\x1b\\n\\xc2\\x9b");
 }
 
 TEST_CASE("totals that are not those of the tiles are refused", "[format][bad-input]") {
@@ -613,7 +689,7 @@ TEST_CASE("a constant plane may not claim more layers than there are",
     checkRefused(file(0x80000001u, 64), ErrorCode::badFile, "add up to more");
     checkRefused(file(kMaxPixelLayers + 1, 64 * (kMaxPixelLayers + 1)),
                  ErrorCode::badFile, "more than 1048576 each");
-    // 1.2 GB of layers from a kilobyte: a limit stops it before memory is taken.
+    // 256 MiB of layers from a kilobyte: a limit stops it before memory is taken.
     ReadLimits limits;
     limits.maxBytes = 64 << 20;
     checkRefused(file(kMaxPixelLayers, 64 * kMaxPixelLayers), ErrorCode::tooLarge,
@@ -667,6 +743,15 @@ TEST_CASE("a zstd frame that is not what its plane says is refused",
     Bytes claims = {0x28, 0xb5, 0x2f, 0xfd, 0xe0, 0xff, 0xff, 0xff,
                     0xff, 0xff, 0xff, 0xff, 0x7f, 0x01, 0,    0};
     refused(claims, "a zstd frame of 9223372036854775807 bytes");
+    // A dictionary's id of 0 is none [RFC 8878, 3.1.1.1.3]; another one is not there.
+    Bytes withId = good;
+    REQUIRE((good[4] & 3) == 0);
+    withId[4] |= 1;
+    const bool window = (good[4] & 0x20) == 0;
+    withId.insert(withId.begin() + 5 + window, 0);
+    CHECK(readBytes(file(withId)));
+    withId[std::size_t(5 + window)] = 9;
+    CHECK_FALSE(readBytes(file(withId)));
     Bytes broken = good;
     broken[broken.size() / 2] ^= 0x55;
     const auto map = readBytes(file(broken));
@@ -753,10 +838,20 @@ TEST_CASE("limits are exact, name themselves and cost nothing", "[format][bad-in
         const Bytes file = encoded(map);
         const ShadowMap back = *readBytes(file);
         ReadLimits limits;
-        limits.maxBytes = back.memoryBytes();
+        limits.maxBytes = back.memoryBytes() + largestTileWork(file);
         limits.maxPixels = 6 * 11 * 9;
-        CHECK(readBytes(file, limits));
+        const auto onThreads = [&](int threads) {
+            tbb::task_arena arena(threads);
+            return arena.execute([&] { return readBytes(file, limits); });
+        };
+        const tbb::global_control allow(tbb::global_control::max_allowed_parallelism, 2);
+        CHECK(onThreads(1));
+        CHECK_FALSE(onThreads(2));
         limits.maxBytes -= 1;
+        CHECK_FALSE(onThreads(1));
+        limits.maxBytes += 1 + largestTileWork(file);
+        CHECK(onThreads(2));
+        limits.maxBytes = back.memoryBytes();  // nothing left for the work
         checkRefused(file, ErrorCode::tooLarge, "ReadLimits::maxBytes", limits);
         limits.maxBytes = 1000;
         checkRefused(file, ErrorCode::tooLarge, "ReadLimits::maxBytes", limits);
@@ -782,7 +877,13 @@ TEST_CASE("limits are exact, name themselves and cost nothing", "[format][bad-in
         p.faces = 6;
         p.checksum = Surgery::seal(p);
     });
-    checkRefused(file, ErrorCode::tooLarge, "6442450944 pixels");
+    ReadLimits limits;
+    limits.maxPixels -= 1;
+    checkRefused(file, ErrorCode::tooLarge, "6442450944 pixels", limits);
+    limits = {};  // the default refuses no resolution as such
+    limits.maxBytes = ~std::uint64_t(0);
+    checkRefused(file, ErrorCode::badFile, "index", limits);
+    checkRefused(file, ErrorCode::tooLarge, "ReadLimits::maxBytes (--max-memory)");
 }
 
 TEST_CASE("what is no map file gives one clear message", "[format][bad-input]") {

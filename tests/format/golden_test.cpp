@@ -257,14 +257,46 @@ TEST_CASE("both readers refuse every file in tests/bad with the same exit code",
         const auto map = readMap(path);
         REQUIRE_FALSE(map);
         CHECK(exitCode(map.error().code) == expected);
+        const auto words = badWords().find(entry.path().stem().string());
+        REQUIRE(words != badWords().end());
+        CHECK_THAT(map.error().message, Catch::Contains(words->second.readMap));
         const Run run = readerPy(path);
         CHECK(run.exitCode == expected);
         CHECK(run.out.empty());
         CHECK_THAT(run.err, Catch::StartsWith(path + ": "));
+        CHECK_THAT(run.err, Catch::Contains(words->second.readerPy));
         CHECK_THAT(run.err, !Catch::Contains("Traceback"));
         ++files;
     }
     CHECK(files >= badFiles().size());
+}
+
+TEST_CASE("both readers take the dictionary id 0 of a zstd frame for none",
+          "[format][golden]") {
+    using format::PlaneRecord;
+    using format::TileRecord;
+    Surgery s(bytesOf(goldenPath("opaque")));
+    Bytes& tile = s.payload(format::kTile);
+    std::size_t frame = Surgery::planeAt(int(peek<TileRecord>(tile, 0).planeCount));
+    const std::size_t record = Surgery::planeAt(1);
+    frame += peek<PlaneRecord>(tile, Surgery::planeAt(0)).storedLength;
+    REQUIRE(peek<PlaneRecord>(tile, record).encoding == 2);
+    edit<PlaneRecord>(tile, record, [](PlaneRecord& r) { r.storedLength += 2; });
+    REQUIRE((tile[frame + 4] & 3) == 0);
+    const bool window = (tile[frame + 4] & 0x20) == 0;
+    tile[frame + 4] |= 2;  // two bytes of id, both 0
+    tile.insert(tile.begin() + long(frame) + 5 + window, 2, 0);
+    const TempFolder folder;
+    const Bytes file = s.close();
+    std::ofstream(folder / "id.mtsm", std::ios::binary)
+        .write(reinterpret_cast<const char*>(file.data()), long(file.size()));
+    const auto map = readMap(folder / "id.mtsm");
+    INFO((map ? "" : map.error().message));
+    REQUIRE(map);
+    const Run run = readerPy(folder / "id.mtsm");
+    INFO(run.err);
+    REQUIRE(run.exitCode == 0);
+    checkMap(json::parse(run.out), *map);
 }
 
 TEST_CASE("the golden files hold a plane of every kind, encoding, filter and size",

@@ -69,6 +69,31 @@ TEST_CASE("a written file holds the bytes that encodeMap gives and reads back",
     CHECK(folder.files() == 1);
 }
 
+TEST_CASE("what no reader would take unasked is not written", "[format][bad-input]") {
+    const TempFolder folder;
+    const std::uint64_t most = ReadLimits().maxAttributeBytes;
+    const auto withText = [&](std::uint64_t bytes) {
+        const ShadowMap map = mapOf(8);
+        MapInfo info = map.info();
+        info.software.clear();
+        info.settings.clear();
+        info.attributes = {{"a", std::string(bytes, 'x')}};
+        MapFace face;
+        face.projection = map.projection(0);
+        face.tiles = {map.tile(0, 0, 0)};
+        return *ShadowMap::create(std::move(info), {std::move(face)});
+    };
+    const std::uint64_t around = 8 + 16 + 1;  // the count, the record, the name
+    const ShadowMap fits = withText(most - around), exceeds = withText(most - around + 1);
+    REQUIRE(writeMap(fits, folder / "a.mtsm"));
+    CHECK(readMap(folder / "a.mtsm"));
+    const Status done = writeMap(exceeds, folder / "b.mtsm");
+    REQUIRE_FALSE(done);
+    CHECK(done.error().code == ErrorCode::badArgument);
+    CHECK_THAT(done.error().message, Catch::Contains("67108865 bytes, more than"));
+    CHECK(folder.files() == 1);
+}
+
 TEST_CASE("the bytes do not depend on the number of threads", "[format]") {
     NoisySpec spec;
     spec.width = spec.height = 200;

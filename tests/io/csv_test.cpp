@@ -76,6 +76,12 @@ TEST_CASE("comments, blank lines, CRLF, a byte order mark and no last newline ar
     CHECK(list->points.empty());
 }
 
+TEST_CASE("a quoted # is a value, not a comment", "[io][csv]") {
+    const auto list = pointsOf("name,x,y,z,note\n\"#1\",0,0,0,\"a\"\n #,1,1,1,\n");
+    REQUIRE(list);
+    CHECK(list->points == std::vector<glm::dvec3>{glm::dvec3(0)});
+}
+
 TEST_CASE("nan and inf are numbers, and what a double cannot hold goes to its limits",
           "[io][csv]") {
     auto list = pointsOf("x,y,z\nnan,inf,-inf\n1e999,-1e999,1e-999\n");
@@ -90,6 +96,8 @@ TEST_CASE("a bad line is named by line and column, with what was found and expec
           "[io][csv][bad-input]") {
     CHECK(complaint(pointsOf("x,y,z\n1,2,3\n# c\n1,two,3\n")) ==
           "csv:4:3: found \"two\", expected a number for y");
+    CHECK(complaint(pointsOf("x,y,z\n1,+-2,3\n")) ==
+          "csv:2:3: found \"+-2\", expected a number for y");
     CHECK(complaint(pointsOf("x,y,z\n1,2,\n")) ==
           "csv:2:5: found \"\", expected a number for z");
     CHECK(complaint(pointsOf("x,y,z\n1,2,3 4\n")) ==

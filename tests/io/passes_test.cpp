@@ -10,11 +10,13 @@
 #include <ImfPartType.h>
 #include <ImfTiledOutputFile.h>
 #include <half.h>
+#include <sys/stat.h>
 
 #include <catch2/catch.hpp>
 #include <cmath>
 #include <limits>
 
+#include "io/exr_file.h"
 #include "io/temp_folder.h"
 #include "mtsm/passes.h"
 
@@ -289,6 +291,77 @@ TEST_CASE("the layer names that renderers use are recognised", "[io][exr]") {
     CHECK(contains(read({"P.X", "P.Y"}), "--position-layer"));
 }
 
+TEST_CASE("a layer of another space is taken only by its name", "[io][exr]") {
+    TempFolder folder;
+    const std::string path = folder / "p.exr";
+    for (const std::string layer :
+         {"camera.Position", "Camera.P", "object.P", "Pref.P", "light.P", "Pcam",
+          "View.Position", "screen_space.P", "rest:P.Position", "myCam.P"}) {
+        INFO(layer);
+        Picture p;
+        p.channels = {{layer + ".X"}, {layer + ".Y"}, {layer + ".Z"}};
+        writeScanlines(path, p);
+        CHECK(contains(errorOf(readPositionPass(path), ErrorCode::badArgument),
+                       "--position-layer"));
+        PassOptions options;
+        options.layer = layer;
+        const auto pass = readPositionPass(path, options);
+        REQUIRE(pass);
+        checkValues(*pass, p);
+        CHECK(pass->layer == layer);
+        // Nor does it keep one in world space from being recognised.
+        for (const char* c : {"X", "Y", "Z"})
+            p.channels.push_back({std::string("View Layer.Position.") + c});
+        writeScanlines(path, p);
+        const auto world = readPositionPass(path);
+        REQUIRE(world);
+        CHECK(world->layer == "View Layer.Position");
+        checkValues(*world, p, 3);
+    }
+    Picture beauty, position;  // the part's name counts too
+    beauty.part = "beauty";
+    beauty.channels = {{"R"}, {"G"}, {"B"}};
+    position.part = "camera";
+    position.channels = {{"P.X"}, {"P.Y"}, {"P.Z"}};
+    writeParts(path, {beauty, position});
+    CHECK_FALSE(readPositionPass(path));
+    position.part = "floor";
+    writeParts(path, {beauty, position});
+    const auto pass = readPositionPass(path);
+    REQUIRE(pass);
+    CHECK(pass->layer == "floor:P");
+}
+
+TEST_CASE("wide pictures are read in bands of at most 64 MiB", "[io][exr][bad-input]") {
+    TempFolder folder;
+    const std::string path = folder / "wide.exr";
+    constexpr int kWidth = 1 << 20, kHeight = 7;
+    Imf::Header header(kWidth, kHeight);
+    header.compression() = Imf::ZIPS_COMPRESSION;
+    const std::vector<float> zeros(kWidth);
+    Imf::FrameBuffer frame;
+    for (const char* c : {"P.X", "P.Y", "P.Z"}) {
+        header.channels().insert(c, Imf::Channel(Imf::FLOAT));
+        frame.insert(c, Imf::Slice(Imf::FLOAT, (char*)zeros.data(), sizeof(float), 0));
+    }
+    {
+        Imf::OutputFile file(path.c_str(), header);
+        file.setFrameBuffer(frame);
+        file.writePixels(kHeight);
+    }
+    auto stream = io::ExrStream::open(path);
+    REQUIRE(stream);
+    Imf::MultiPartInputFile file(**stream);
+    std::size_t most = 0, pixels = 0;
+    REQUIRE(io::readExrChannels(file, 0, {"P.X", "P.Y", "P.Z"}, path,
+                                [&](const float*, std::size_t count) {
+                                    most = std::max(most, count);
+                                    pixels += count;
+                                }));
+    CHECK(pixels == std::size_t(kWidth) * kHeight);
+    CHECK(most == std::size_t(kWidth) * 5);  // 12 MiB a row
+}
+
 TEST_CASE("a file of nothing but three channels is the pass itself", "[io][exr]") {
     TempFolder folder;
     const std::string path = folder / "p.exr";
@@ -344,10 +417,11 @@ TEST_CASE("several layers ask for a name, and a name settles it", "[io][exr]") {
                    "no layer \"osition\""));
 }
 
-TEST_CASE("pixels without a surface are those of alpha 0 and those not finite",
+TEST_CASE("pixels without a surface are those without alpha and those not finite",
           "[io][exr]") {
     TempFolder folder;
     const std::string path = folder / "p.exr";
+    const float badAlpha = GENERATE(-1.0f, NAN);
     const auto surfaces = [&](const char* layer, const char* alpha) {
         Picture p;
         for (const char* c : {"X", "Y", "Z"})
@@ -360,6 +434,7 @@ TEST_CASE("pixels without a surface are those of alpha 0 and those not finite",
         a[4] = 0.0f;
         a[5] = -0.0f;
         a[6] = 1e-30f;
+        a[7] = badAlpha;
         p.channels.push_back({alpha, Imf::FLOAT, a});
         writeScanlines(path, p);
         auto pass = readPositionPass(path);
@@ -369,10 +444,10 @@ TEST_CASE("pixels without a surface are those of alpha 0 and those not finite",
             text += pass->surface[i] ? '1' : '0';
         return text;
     };
-    CHECK(surfaces("P.", "P.A") == "10000011");
-    CHECK(surfaces("P.", "A") == "10000011");
-    CHECK(surfaces("View.Position.", "View.Combined.A") == "10000011");
-    CHECK(surfaces("View.Position.", "Other.Combined.A") == "10001111");
+    CHECK(surfaces("P.", "P.A") == "10000010");
+    CHECK(surfaces("P.", "A") == "10000010");
+    CHECK(surfaces("ViewLayer.Position.", "ViewLayer.Combined.A") == "10000010");
+    CHECK(surfaces("ViewLayer.Position.", "Other.Combined.A") == "10001111");
     CHECK(surfaces("P.", "Z.A") == "10001111");
     CHECK(surfaces("P.", "beta") == "10001111");
 }
@@ -450,6 +525,10 @@ TEST_CASE("what is no EXR at all is said so", "[io][exr][bad-input]") {
     CHECK(contains(errorOf(readPositionPass(folder / "none.exr"), ErrorCode::io),
                    "No such file"));
     CHECK(contains(errorOf(readPositionPass(folder / "."), ErrorCode::io), "folder"));
+    // A pipe without a writer: must not wait for one.
+    REQUIRE(::mkfifo((folder / "pipe.exr").c_str(), 0600) == 0);
+    CHECK(contains(errorOf(readPositionPass(folder / "pipe.exr"), ErrorCode::io),
+                   "no regular file"));
     test::write(folder / "text.exr", "this is text, not pixels\n");
     CHECK(contains(errorOf(readPositionPass(folder / "text.exr"), ErrorCode::badFile),
                    "not an OpenEXR file"));

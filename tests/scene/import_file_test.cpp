@@ -71,6 +71,15 @@ TEST_CASE("an importer that is killed is the system's doing, not the file's",
     CHECK(contains(s.error().message, "signal 9"));
 }
 
+TEST_CASE("an importer that is interrupted was cancelled", "[scene]") {
+    for (const int signal : {SIGINT, SIGTERM}) {
+        const Status s = importWith([&](FrameWriter&) { std::raise(signal); });
+        REQUIRE(!s);
+        CHECK(s.error().code == ErrorCode::cancelled);
+        CHECK(contains(s.error().message, "a.obj: reading was cancelled"));
+    }
+}
+
 TEST_CASE("an importer without enough memory names the limit", "[scene][bad-input]") {
     if (test::kSanitized) {
         WARN("no memory limit under a sanitizer: skipped");
@@ -102,7 +111,22 @@ TEST_CASE("a failure that the importer reports arrives with its code, in one lin
     });
     REQUIRE(!s);
     CHECK(s.error().code == ErrorCode::unsupported);
-    CHECK(s.error().message == "a.obj: two lines of  [31mtext");
+    CHECK(s.error().message == "a.obj: two\\nlines\\tof \\x1b[31mtext");
+}
+
+TEST_CASE("a name's control characters do not arrive", "[scene]") {
+    std::vector<std::string> names;
+    ImportSink sink;
+    sink.name = [&](std::string name) { names.push_back(std::move(name)); };
+    const auto send = [](FrameWriter& out) {
+        out.name(
+            "\xc2\x9b"
+            "2J");
+        out.name("L\xc3\xa4mpchen");
+        out.end();
+    };
+    REQUIRE(importWith(send, sink));
+    CHECK(names == std::vector<std::string>{"\\xc2\\x9b2J", "L\xc3\xa4mpchen"});
 }
 
 TEST_CASE("a mesh arrives as it was sent", "[scene][roundtrip]") {

@@ -147,6 +147,21 @@ TEST_CASE("stopping early leaves neither a process nor an open file", "[scene]")
     CHECK(hasNoChild());
 }
 
+TEST_CASE("waiting for a child that never ends ends it", "[scene]") {
+    Isolated child = startOrFail([](ChildPipe& out) {
+        out.write("no frame", 8);
+        for (;;)
+            pause();
+    });
+    char bytes[8];
+    REQUIRE(child.read(bytes, sizeof(bytes)) == sizeof(bytes));
+    CHECK(!child.ended());
+    const ChildEnd end = child.wait();
+    CHECK(end.how == ChildEnd::How::signalled);
+    CHECK(end.number == SIGKILL);
+    CHECK(hasNoChild());
+}
+
 TEST_CASE("a child prints nothing and does not hold other children's pipes open",
           "[scene]") {
     Isolated first = startOrFail([](ChildPipe& out) { out.write("ab", 2); });

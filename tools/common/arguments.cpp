@@ -20,7 +20,7 @@ std::string concat(const Parts&... parts) {
 /// A whole field as a number; false if it is none.
 template <typename T>
 bool parse(std::string_view text, T& value) {
-    if (text.starts_with('+')) text.remove_prefix(1);
+    if (text.starts_with('+') && !text.starts_with("+-")) text.remove_prefix(1);
     const auto [end, problem] =
         std::from_chars(text.data(), text.data() + text.size(), value);
     return problem == std::errc() && end == text.data() + text.size();
@@ -121,6 +121,17 @@ std::uint64_t parseBytes(const std::string& option, const std::string& text) {
     return bytes << shift;
 }
 
+CLI::Option* addMaxMemory(CLI::App& app, std::string& value) {
+    return addText(app, "--max-memory", value, "BYTES",
+                   "bound on what decoding the map takes: 8G, 512M\n(default: 8G)");
+}
+
+ReadLimits readLimits(const std::string& maxMemory) {
+    ReadLimits limits;
+    limits.maxBytes = parseBytes("--max-memory", maxMemory);
+    return limits;
+}
+
 CLI::Option* addNumber(CLI::App& app, const std::string& name,
                        std::optional<double>& value, Range range, const std::string& unit,
                        const std::string& help) {
@@ -165,7 +176,15 @@ CLI::Option* addTriple(CLI::App& app, const std::string& name,
 
 CLI::Option* addText(CLI::App& app, const std::string& name, std::string& value,
                      const std::string& form, const std::string& help) {
-    return app.add_option(name, value, help)->type_name(form);
+    return app
+        .add_option_function<std::string>(
+            name,
+            [name, form, &value](const std::string& text) {
+                if (text.empty()) refuse(name, text, form);
+                value = text;
+            },
+            help)
+        ->type_name(form);
 }
 
 CLI::Option* addChoice(CLI::App& app, const std::string& name,

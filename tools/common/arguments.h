@@ -11,6 +11,8 @@
 #include <string>
 #include <vector>
 
+#include "mtsm/reader.h"
+
 namespace mtsm::tools {
 
 /// A wrong command line: exit code 2.
@@ -38,6 +40,10 @@ glm::uvec2 parsePixel(const std::string& option, const std::string& text);
 /// Bytes with an optional suffix K, M, G or T (powers of 1024).
 std::uint64_t parseBytes(const std::string& option, const std::string& text);
 
+/// --max-memory of the tools that read maps, and the limits that it means.
+CLI::Option* addMaxMemory(CLI::App& app, std::string& value);
+ReadLimits readLimits(const std::string& maxMemory);
+
 CLI::Option* addNumber(CLI::App& app, const std::string& name,
                        std::optional<double>& value, Range range, const std::string& unit,
                        const std::string& help);
@@ -45,6 +51,7 @@ CLI::Option* addWhole(CLI::App& app, const std::string& name, std::int64_t& valu
                       std::int64_t least, std::int64_t most, const std::string& help);
 CLI::Option* addTriple(CLI::App& app, const std::string& name,
                        std::optional<glm::dvec3>& value, const std::string& help);
+/// Not empty.
 CLI::Option* addText(CLI::App& app, const std::string& name, std::string& value,
                      const std::string& form, const std::string& help);
 /// One of `words`, by its place in the list.

@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <csignal>
 #include <cstdio>
+#include <exception>
+#include <filesystem>
 #include <utility>
 
 namespace mtsm::tools {
@@ -18,10 +20,14 @@ constexpr auto kLineInterval = 2s;
 constexpr int kBarWidth = 40;
 
 // The only state that a signal handler may touch.
-volatile std::sig_atomic_t stopFlag = 0;
+volatile std::sig_atomic_t writing = 0;
+volatile std::sig_atomic_t stopSignal = 0;  // that came while a file was written
 
-extern "C" void onStopSignal(int) {
-    stopFlag = 1;
+extern "C" void onStopSignal(int signal) {
+    if (writing)
+        stopSignal = signal;
+    else
+        std::raise(signal);  // what it does by default again: SA_RESETHAND
 }
 
 std::string percent(double fraction) {
@@ -32,16 +38,28 @@ std::string percent(double fraction) {
 }  // namespace
 
 void catchSignals() {
-    struct sigaction action {};
+    struct sigaction action {
+    }, before{};
     action.sa_handler = onStopSignal;
     action.sa_flags = SA_RESETHAND | SA_RESTART;
-    ::sigaction(SIGINT, &action, nullptr);
-    ::sigaction(SIGTERM, &action, nullptr);
+    for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
+        ::sigaction(signal, nullptr, &before);
+        if (before.sa_handler != SIG_IGN) ::sigaction(signal, &action, nullptr);
+    }
     std::signal(SIGXFSZ, SIG_IGN);
 }
 
-bool stopRequested() noexcept {
-    return stopFlag != 0;
+Writing::Writing(const std::string& path) : exceptions_(std::uncaught_exceptions()) {
+    std::error_code problem;
+    const auto kind = std::filesystem::status(path, problem).type();
+    writing = kind == std::filesystem::file_type::regular ||
+              kind == std::filesystem::file_type::not_found;
+}
+
+Writing::~Writing() {
+    writing = 0;
+    if (stopSignal != 0 && std::uncaught_exceptions() == exceptions_)
+        std::raise(stopSignal);
 }
 
 Talk::Talk(std::string tool)
@@ -71,6 +89,10 @@ void Talk::say(const std::string& text) {
     if (!quiet_) line(text);
 }
 
+void Talk::answer(const std::string& text) {
+    line(text);
+}
+
 void Talk::warn(const std::string& text) {
     line("warning: " + text);
 }
@@ -80,7 +102,7 @@ void Talk::error(const std::string& text) {
 }
 
 bool Talk::progress(const std::string& stage, double fraction) {
-    if (stopRequested()) return false;
+    if (stopSignal != 0) return false;
     if (quiet_) return true;
     const std::lock_guard lock(mutex_);
     const auto now = Clock::now();

@@ -22,8 +22,11 @@ class Talk {
     void warn(const std::string& text);
     void error(const std::string& text);
 
-    /// Shows that `fraction` (0..1, negative: unknown) of `stage` is done. False once the
-    /// user asked to stop: what library callbacks must return.
+    /// What was asked for by an option of its own: said even when quiet.
+    void answer(const std::string& text);
+
+    /// Shows that `fraction` (0..1, negative: unknown) of `stage` is done. False once a
+    /// signal asked to stop the writing of a file: what library callbacks must return.
     bool progress(const std::string& stage, double fraction);
     /// Takes the bar away, before something is printed to stdout.
     void progressDone();
@@ -43,11 +46,25 @@ class Talk {
     bool barShown_ = false;
 };
 
-/// From now on SIGINT and SIGTERM ask to stop instead of killing, so that temporary files
-/// are removed; a second one kills. Writing beyond a file size limit becomes an error.
+/// SIGINT, SIGTERM and SIGHUP end the process at once, as they do without this, but not
+/// while it writes a file (see Writing). Those that were ignored stay ignored. Writing
+/// beyond a file size limit becomes an error.
 void catchSignals();
 
-/// True once SIGINT or SIGTERM came.
-[[nodiscard]] bool stopRequested() noexcept;
+/// While one lives, the file `path` is being written: the first of these signals only
+/// makes Talk::progress return false, so that the library stops and removes its temporary
+/// file; a second one of the same kind kills. If the file was finished nevertheless, the
+/// process ends by the signal when this goes. A pipe or a device has no temporary file:
+/// writing to one ends at once.
+class Writing {
+  public:
+    explicit Writing(const std::string& path);
+    ~Writing();
+    Writing(const Writing&) = delete;
+    Writing& operator=(const Writing&) = delete;
+
+  private:
+    const int exceptions_;
+};
 
 }  // namespace mtsm::tools

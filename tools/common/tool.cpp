@@ -95,12 +95,20 @@ void checkOutput(const std::string& path, const std::vector<std::string>& inputs
         if (fs::equivalent(path, input, problem))
             throw UsageError(path + ": the output is also an input; choose another name");
     }
-    const fs::path parent = fs::path(path).parent_path();
+    // A pipe or a device is written to as it is; what a link points to is replaced.
+    if (fs::exists(path, problem) && !fs::is_regular_file(path, problem)) return;
+    const fs::path target = fs::canonical(path, problem);
+    const fs::path parent = (problem ? fs::path(path) : target).parent_path();
     const std::string folder = parent.empty() ? "." : parent.string();
     if (!fs::is_directory(folder, problem))
         failOutput(path, "there is no folder " + folder);
     if (::access(folder.c_str(), W_OK | X_OK) != 0)
         failOutput(path, "the folder " + folder + ": " + std::strerror(errno));
+}
+
+std::string jsonText(const nlohmann::ordered_json& j) {
+    constexpr bool kAscii = true;  // else control characters beyond ASCII would come out
+    return j.dump(2, ' ', kAscii, nlohmann::json::error_handler_t::replace) + "\n";
 }
 
 void print(const std::string& text) {

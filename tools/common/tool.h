@@ -41,8 +41,11 @@ int runTool(CLI::App& app, int argc, char** argv, Talk& talk,
 void withThreads(std::int64_t threads, const std::function<void()>& body);
 
 /// Fails now where writing `path` would fail hours later: it is a folder, one of
-/// `inputs`, or its folder is not there or not writable.
+/// `inputs`, or its folder is not there or not writable. A pipe or a device is fine.
 void checkOutput(const std::string& path, const std::vector<std::string>& inputs);
+
+/// What --json prints: ASCII alone, so that nothing of a file can steer a terminal.
+[[nodiscard]] std::string jsonText(const nlohmann::ordered_json& j);
 
 /// Writes to stdout; a failure (full disk, closed pipe) is thrown.
 void print(const std::string& text);

@@ -41,4 +41,9 @@ struct Description {
 /// Reads and checks the whole file, as readMap does.
 Result<Description> describe(const std::string& path, const ReadLimits& limits = {});
 
+/// Text of unknown origin, such as a map's attributes, fit for one line of a terminal:
+/// control characters and bytes that are no UTF-8 become \n, \r, \t or \xNN. Messages of
+/// this library have been through it.
+std::string printable(const std::string& text);
+
 }  // namespace mtsm

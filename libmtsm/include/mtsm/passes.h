@@ -10,9 +10,12 @@
 //     position  P, Position, worldPosition, world_position, Pworld, worldP, WP
 //     normal    N, Normal, Normals, worldNormal, world_normal, Nworld, worldN, WN
 // so that "P.X", "Position.R", "RenderLayer.Position.x" and a part named "P" with
-// channels R, G, B all count. A layer's channels are X, Y, Z or R, G, B, in either case.
-// A file that holds nothing but R, G, B (or X, Y, Z) and perhaps A is taken for the pass
-// itself.
+// channels R, G, B all count. Not recognised, because they are of another space, are
+// layers and parts whose name has one of these words (split at punctuation and capitals):
+// camera, cam, view (but not "ViewLayer"), object, obj, local, tangent, ref, pref, rest,
+// light, screen, ndc. They can be taken by name. A layer's channels
+// are X, Y, Z or R, G, B, in either case. A file that holds nothing but R, G, B (or X, Y,
+// Z) and perhaps A is taken for the pass itself.
 //
 // Reading is safe on untrusted files: sizes are proved against the file's length and
 // against PassOptions before memory is spent on them. Errors: io; badFile (damaged, or no
@@ -39,13 +42,16 @@ struct PassOptions {
 };
 
 struct Pass {
-    PixelWindow data;               ///< values cover this, row-major
-    PixelWindow display;            ///< the frame that the data window is part of
-    std::string layer;              ///< the layer that was read, "" for bare channels
+    PixelWindow data;     ///< values cover this, row-major
+    PixelWindow display;  ///< the frame that the data window is part of
+    /// The layer that was read, as the file has it: "" for bare channels, "part:layer" in
+    /// a file of many parts.
+    std::string layer;
     std::vector<glm::vec3> values;  ///< [data.height][data.width], as the file has them
     /// [data.height][data.width]: 1 where there is a surface, 0 where there is none. None
-    /// is where a component is not finite, or where alpha is 0: the layer's own alpha, or
-    /// else the alpha of the picture it belongs to (A, RGBA.A or Combined.A beside it).
+    /// is where a component is not finite, or where alpha is 0, negative or not a number:
+    /// the layer's own alpha, or else the alpha of the picture it belongs to (A, RGBA.A
+    /// or Combined.A beside it).
     std::vector<std::uint8_t> surface;
 
     [[nodiscard]] std::size_t pixels() const noexcept { return values.size(); }

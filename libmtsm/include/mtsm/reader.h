@@ -21,15 +21,20 @@ namespace mtsm {
 
 /// What a file may ask of this process. The error that a limit causes names it.
 struct ReadLimits {
-    std::uint64_t maxBytes = std::uint64_t(16)
-                             << 30;  ///< decoded size: layers and hierarchy
-    std::uint64_t maxPixels = std::uint64_t(1) << 30;  ///< over all faces
-    std::uint64_t maxAttributeBytes = 64u << 20;       ///< attributes and texts
+    /// Memory that is taken for tiles: the map that comes out (ShadowMap::memoryBytes())
+    /// and, for each thread that decodes, the stored bytes of the largest tile and 8 to
+    /// 12 bytes for each of its layers or pixels. Not counted: the index and the
+    /// hierarchy as they are stored, which are a part of the file, and what
+    /// maxAttributeBytes bounds, each at most twice.
+    std::uint64_t maxBytes = std::uint64_t(8) << 30;
+    /// Over all faces. By default all that a map may have.
+    std::uint64_t maxPixels = std::uint64_t(6) * kMaxResolution * kMaxResolution;
+    std::uint64_t maxAttributeBytes = 64u << 20;  ///< attributes and texts
 };
 
 /// The whole map. Errors: io, badFile (the message names the damaged part and its
-/// offset), unsupported (newer major version, unknown critical block), tooLarge (a
-/// limit).
+/// offset), unsupported (newer major version, unknown critical block, or anything else
+/// that is not understood in a newer minor version), tooLarge (a limit).
 Result<ShadowMap> readMap(const std::string& path, const ReadLimits& limits = {});
 
 /// The same from memory; `name` stands for the path in messages.

@@ -33,8 +33,9 @@ struct WriteOptions {
 };
 
 /// Errors: io (names the path and the system's reason), badArgument (an option out of its
-/// range; a text, an attribute's name or its text that is not UTF-8), cancelled, tooLarge
-/// (out of memory).
+/// range; a text, an attribute's name or its text that is not UTF-8; more bytes of
+/// attributes and texts than ReadLimits allows by default), cancelled, tooLarge (out of
+/// memory).
 Status writeMap(const ShadowMap& map, const std::string& path,
                 const WriteOptions& options = {});
 
