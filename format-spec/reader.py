@@ -450,13 +450,14 @@ class File:
         depth, rule, shape = c.fields("III")
         if depth != 0 or rule != 0:
             raise Unsupported("depth meaning %d, visibility rule %d" % (depth, rule))
-        c.zeros(4)
+        bias_per_depth = c.fields("f")
         light = dict(shape=shape, position=c.fields("3d"), direction=c.fields("3d"),
                      up=c.fields("3d"), radius=c.fields("d"), size=c.fields("2d"),
                      angularDiameter=c.fields("d"))
         bias, asked, most, resets, metres = c.fields("ffIId")
         self.check_light(light)
         need(0 <= bias < math.inf, "HEAD: bias %r" % bias)
+        need(0 <= bias_per_depth < math.inf, "HEAD: bias %r per depth" % bias_per_depth)
         need(0 <= asked <= 1, "HEAD: tolerance %r" % asked)
         need(0 <= metres < math.inf, "HEAD: metres per unit %r" % metres)
         faces = []
@@ -473,6 +474,7 @@ class File:
         c.end(self.minor > 0)
         self.out.update(
             depthMeaning=depth, visibilityRule=rule, light=light, bias=bias,
+            biasPerDepth=bias_per_depth,
             toleranceAsked=asked, maxLayers=most, resets=resets, metresPerUnit=metres,
             projections=faces, software=software, settings=settings)
 

@@ -31,7 +31,8 @@ constexpr const char* kExamples =
     "    mtsm-bake set.glb --exclude 'floor*' --light-angle 0.53 \\\n"
     "              --light-direction -1,-3,-1 --resolution 4096 -o sun.mtsm\n"
     "  a light of the scene file, made larger than it is there:\n"
-    "    mtsm-bake shot.glb --light-name Key --light-size 0.6,0.4 -o key.mtsm\n";
+    "    mtsm-bake shot.glb --light-name Key --light-shape rect \\\n"
+    "              --light-size 0.6,0.4 -o key.mtsm\n";
 
 struct Arguments {
     std::vector<std::string> inputs;
@@ -92,8 +93,9 @@ void addOptions(CLI::App& app, Arguments& a) {
              "5)")
         ->group("View");
     addNumber(app, "--bias", a.bias, {0.0, kAny}, "Z",
-              "depth within which a layer blocks, stored in the\n"
-              "map (default: by the size of a pixel)")
+              "depth within which a layer is met, world units,\n"
+              "stored in the map (default: the size of a pixel at\n"
+              "the layer)")
         ->group("View");
 
     addNumber(app, "--opacity", a.opacity, {0.0, 1.0}, "A",
@@ -113,7 +115,8 @@ void addOptions(CLI::App& app, Arguments& a) {
     };
     addGlobs("--include", a.include,
              "only meshes whose node, mesh or material name\n"
-             "matches, such as 'tree*'; may be repeated");
+             "matches, such as 'tree*'; case counts; may be\n"
+             "repeated");
     addGlobs("--exclude", a.exclude, "all but meshes that match; may be repeated");
 
     addWhole(app, "--threads", a.threads, 0, 1024,
@@ -264,13 +267,21 @@ void say(Talk& talk, const Baked& baked, const Arguments& a, std::uint64_t fileB
         {r.nonFinite, "not finite"},
         {r.culled, "culled"},
         {r.transparent, "wholly transparent"},
-        {r.outside, "outside the window"},
+        {r.outside, "outside window, near and far"},
         {r.clipped, "reaching out of the window"}};
     std::string list;
     for (const auto& [count, what] : odd) {
         if (count) list += (list.empty() ? "" : ", ") + countText(count) + " " + what;
     }
     if (!list.empty()) talk.say("of these triangles: " + list);
+    if (2 * r.outside > r.triangles)
+        talk.warn(
+            "most triangles lie outside window, near and far and cast nothing: check "
+            "--fov, --near, --far and where the light looks");
+    if (baked.map.layerCount() == 0)
+        talk.warn(
+            "the map is empty: no triangle covers the centre of a pixel as the light "
+            "sees it");
     talk.say("rasterised " + std::to_string(info.width) + " x " +
              std::to_string(info.height) + ": " + countText(info.samples) + " samples, " +
              countText(info.samplesDropped) + " dropped behind the nearest " +
@@ -292,6 +303,7 @@ nlohmann::ordered_json reportJson(const Baked& baked, const Arguments& a,
     j["faces"] = baked.map.faceCount();
     j["light"] = lightJson(info.light);
     j["bias"] = info.bias;
+    j["biasPerDepth"] = info.biasPerDepth;
     j["layers"] = baked.map.layerCount();
     j["maxLayers"] = info.maxLayers;
     j["samples"] = info.samples;

@@ -134,6 +134,7 @@ ordered_json summaryJson(const Arguments& a, const Description& d, const ShadowM
     for (std::uint32_t f = 0; f < map.faceCount(); ++f)
         j["projections"].push_back(projectionJson(map.projection(f)));
     j["bias"] = info.bias;
+    j["biasPerDepth"] = info.biasPerDepth;
     j["maxLayers"] = info.maxLayers;
     j["resets"] =
         info.resets == kAllResets ? ordered_json("all") : ordered_json(info.resets);
@@ -214,7 +215,9 @@ void lightRows(Rows& rows, const ShadowMap& map) {
                                (perspective ? " at depth 1" : " world units"));
         rows.row("near, far", numberText(p.near) + ", " + numberText(p.far));
     }
-    rows.row("bias", numberText(info.bias) + " world units");
+    rows.row("bias", info.biasPerDepth > 0.0f && info.bias == 0.0f
+                         ? numberText(info.biasPerDepth) + " of a layer's depth"
+                         : numberText(info.bias) + " world units");
     if (info.metresPerUnit > 0)
         rows.row("world unit", numberText(info.metresPerUnit) + " m");
     if (info.castersClipped) rows.row("window", "some casters reach out of it");

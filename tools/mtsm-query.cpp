@@ -150,7 +150,7 @@ void addOptions(CLI::App& app, Arguments& a) {
              "same seed, same answer on any machine (default: 0)")
         ->group("Query");
     addNumber(app, "--bias", a.bias, {0.0, kAny}, "Z",
-              "depth within which a layer blocks, world units\n"
+              "depth within which a layer is met, world units\n"
               "(default: the map's)")
         ->group("Query");
     addNumber(app, "--threshold", a.threshold, {0.0, 1.0, true}, "V",

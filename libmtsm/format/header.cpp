@@ -204,6 +204,7 @@ Result<Bytes> encodeHead(const ShadowMap& map) {
     h.lightSize = pack(info.light.size);
     h.lightAngularDiameter = info.light.angularDiameter;
     h.bias = info.bias;
+    h.biasPerDepth = info.biasPerDepth;
     h.toleranceAsked = info.toleranceAsked;
     h.maxLayers = info.maxLayers;
     h.resets = info.resets;
@@ -233,7 +234,6 @@ Status decodeHead(BytesView payload, const Prefix& prefix, MapInfo& info,
     if (h.visibilityRule != std::uint32_t(VisibilityRule::step))
         return makeError(ErrorCode::unsupported, "visibility rule ", h.visibilityRule,
                          " is unknown: a newer libmtsm is needed");
-    if (h.reserved != 0) return bad("reserved bytes are not zero");
 
     info.width = prefix.width;
     info.height = prefix.height;
@@ -247,6 +247,7 @@ Status decodeHead(BytesView payload, const Prefix& prefix, MapInfo& info,
     info.light.size = unpack(h.lightSize);
     info.light.angularDiameter = h.lightAngularDiameter;
     info.bias = h.bias;
+    info.biasPerDepth = h.biasPerDepth;
     info.toleranceAsked = h.toleranceAsked;
     info.maxLayers = h.maxLayers;
     info.resets = h.resets;

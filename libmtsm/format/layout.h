@@ -87,7 +87,7 @@ struct HeadFixed {
     std::uint32_t depthMeaning;
     std::uint32_t visibilityRule;
     std::uint32_t lightShape;
-    std::uint32_t reserved;  ///< 0
+    float biasPerDepth;
     std::array<double, 3> lightPosition;
     std::array<double, 3> lightDirection;
     std::array<double, 3> lightUp;

@@ -5,6 +5,7 @@
 
 #include <assimp/DefaultLogger.hpp>
 #include <cstring>
+#include <filesystem>
 #include <string_view>
 
 #include "base/message.h"
@@ -54,8 +55,24 @@ AssimpScene::AssimpScene(const std::string& path, FrameWriter& out) {
     const aiScene* scene = importer_.ReadFile(path, 0);
     if (!scene) {
         const std::string_view reason = importer_.GetErrorString();
+        if (reason.starts_with("No suitable reader found")) {
+            const std::string extension =
+                std::filesystem::path(path).extension().string();
+            const bool known = importer_.IsExtensionSupported(extension);
+            out.failure(
+                known ? ErrorCode::badFile : ErrorCode::unsupported,
+                base::concat(
+                    path,
+                    known ? ": does not hold what its name says: no reader knows its "
+                            "content; "
+                          : ": is no mesh file of a kind that can be read; ",
+                    "those are PLY, OBJ, glTF, GLB, FBX, COLLADA, STL and "
+                    "what else Assimp reads"));
+            return;
+        }
+        const bool old = reason.find("unsupported") != std::string_view::npos;
         out.failure(
-            ErrorCode::badFile,
+            old ? ErrorCode::unsupported : ErrorCode::badFile,
             base::concat(path, ": ",
                          reason.starts_with("std::")
                              ? "a size that the file states is impossible; repair it"

@@ -187,6 +187,13 @@ TEST_CASE("a sphere light lets in casters only beyond its far side", "[bake][exa
     Casters casters({mesh});
     BakeOptions o = lamp(LightShape::sphere, {0, 10, 0}, 1.0);
     o.light.direction = {1, 0, 0};  // not used by a sphere
+    // Unasked, nothing is cut off.
+    const auto refused = bake(casters, o);
+    REQUIRE_FALSE(refused);
+    CHECK(refused.error().message.find(
+              "1 triangles of the casters lie beside or behind") != std::string::npos);
+    CHECK(refused.error().message.find("--near") != std::string::npos);
+    o.near = 1.0;
     const Baked b = mustBake(casters, o);
     const Projection& p = b.map.projection(0);
     const double d = 10 - 0;

@@ -105,6 +105,7 @@ void checkInfo(const json& j, const MapInfo& info) {
     CHECK(same(light["size"], info.light.size));
     CHECK(same(light["angularDiameter"], info.light.angularDiameter));
     CHECK(same(j["bias"], info.bias));
+    CHECK(same(j["biasPerDepth"], info.biasPerDepth));
     CHECK(j["maxLayers"] == info.maxLayers);
     CHECK(j["resets"] == info.resets);
     CHECK(same(j["toleranceAsked"], info.toleranceAsked));

@@ -182,6 +182,7 @@ TEST_CASE("header numbers and attributes keep every bit, NaN payloads included",
     info.light.size = {0.25, 1e-12};
     info.light.angularDiameter = 0.00925;
     info.bias = 1e-45f;
+    info.biasPerDepth = 3.25e-3f;
     info.maxLayers = 0xfffffffeu;
     info.resets = 17;
     info.toleranceAsked = 0.02f;

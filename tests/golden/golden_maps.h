@@ -124,6 +124,16 @@ inline Golden onePixel() {
             })};
 }
 
+/// As a bake without a bias of its own writes it: the z threshold grows with depth.
+inline Golden biasPerDepth() {
+    MapInfo info = goldenInfo(8, 8, 8);
+    info.biasPerDepth = 0.001953125f;
+    return {"bias_per_depth",
+            goldenMap(info, {goldenProjection(info)}, [](auto, auto x, auto y) {
+                return Pixel{{2.0f + float(x + y) / 16.0f, {}, 1}};
+            })};
+}
+
 inline Golden emptyMap() {
     const MapInfo info = goldenInfo(20, 12, 8);
     return {"empty", goldenMap(info, {goldenProjection(info)},
@@ -291,6 +301,7 @@ inline Golden attributes() {
 inline std::vector<Golden> goldenMaps() {
     std::vector<Golden> all;
     all.push_back(onePixel());
+    all.push_back(biasPerDepth());
     all.push_back(emptyMap());
     all.push_back(opaque());
     all.push_back(transparentResets());

@@ -258,8 +258,7 @@ TEST_CASE("files that are cut off, empty or something else are errors that name 
           folder.write("cut.stl", binaryStl(10, 3)),
           folder.write("cut.dae", test::collada("", "").substr(0, 900)),
           folder.write("empty.obj", ""), folder.write("blank.obj", "# nothing\n\n\n\n\n"),
-          folder.write("text.ply", "this is not a mesh"),
-          folder.write("a.unknown", "this is not a mesh either")}) {
+          folder.write("text.ply", "this is not a mesh")}) {
         INFO(path);
         const auto seen = seeFile(path);
         REQUIRE(!seen.status);
@@ -267,6 +266,10 @@ TEST_CASE("files that are cut off, empty or something else are errors that name 
         CHECK(contains(seen.error(), path));
         CHECK(!contains(seen.error(), "\n"));
     }
+    const auto unknown = seeFile(folder.write("a.unknown", "this is not a mesh either"));
+    REQUIRE(!unknown.status);
+    CHECK(unknown.status.error().code == ErrorCode::unsupported);
+    CHECK(contains(unknown.error(), "PLY, OBJ"));
     for (const std::string& path : {folder.path("missing.obj"), folder.path("")}) {
         const auto seen = seeFile(path);
         REQUIRE(!seen.status);

@@ -184,6 +184,7 @@ std::string lightText(const AreaLight& light) {
         text += ", angular diameter " + numberText(glm::degrees(light.angularDiameter)) +
                 " degrees";
     if (shape != LightShape::sun) text += ", at (" + tripleText(light.position) + ")";
+    if (shape == LightShape::point || shape == LightShape::sphere) return text;
     return text + ", direction (" + tripleText(light.direction) + ")";
 }
 
