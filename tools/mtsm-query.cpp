@@ -521,7 +521,7 @@ void sayStats(const Arguments& a, const Receivers& r, const Results& results,
         talk.answer(
             countText(s.points) + " points, " + countText(s.rays) + " rays, " +
             secondsText(results.seconds) + ", " +
-            numberText(std::round(double(s.rays) / std::max(results.seconds, 1e-9))) +
+            countText(std::uint64_t(double(s.rays) / std::max(results.seconds, 1e-9))) +
             " rays per second");
         talk.answer(countText(s.notFinite) + " points not finite, " +
                     countText(s.behindLight) + " behind the light, " +

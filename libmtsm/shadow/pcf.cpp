@@ -37,7 +37,7 @@ float Query::filtered(const Receiver& receiver,
 
         // Everything in front of the point along the centre ray, but for its own surface.
         trace::PixelCrossing inFront;
-        inFront.zExit = receiver.hasNormal ? point.z : point.z - receiver.bias;
+        inFront.zExit = point.z - kStartBiases * receiver.bias;
         if (receiver.hasNormal)
             inFront.counted = trace::clipToPlane(p, receiver.plane, x, y);
         if (!(inFront.zExit > 0.0) || inFront.counted.empty()) continue;
