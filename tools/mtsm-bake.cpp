@@ -327,6 +327,9 @@ void run(const Arguments& a, const CLI::App& app, Talk& talk) {
     };
     const auto start = Clock::now();
     talk.setQuiet(a.quiet);
+    if (a.output == "-")
+        throw UsageError(
+            "-o -: a map needs the name of a file; /dev/stdout writes to a pipe");
     checkOutput(a.output, a.inputs);
     const MeshFileOptions files = meshOptions(a, talk);
     const BakeOptions options = bakeOptions(a, app, files, talk);

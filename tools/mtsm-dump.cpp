@@ -437,6 +437,9 @@ void checkArguments(const Arguments& a, const CLI::App& app) {
         throw UsageError(
             "-o: belongs to --plot; an image goes to the file that --image "
             "names, everything else to stdout");
+    if (a.output.ends_with(".png") || a.output.ends_with(".exr"))
+        throw UsageError("-o " + a.output +
+                         ": a plot is SVG; name it so, or take --image");
     if (app.count("--face") && a.pixel.empty() && a.plot.empty() && a.image.empty())
         throw UsageError("--face: belongs to --pixel, --plot and --image");
     if (a.json && (!a.plot.empty() || !a.image.empty()))

@@ -765,6 +765,7 @@ class Dump(ToolTest):
         self.assertEqual(self.good(run("dump", "key.mtsm", "--plot", "64,64")).stdout,
                          pathlib.Path("p.svg").read_text())
         self.fails(run("dump", "key.mtsm", "-o", "p.svg"), 2, "--plot")
+        self.fails(run("dump", "key.mtsm", "--plot", "64,64", "-o", "p.png"), 2, "SVG")
 
     def test_images_show_every_channel(self):
         j = json.loads(run("dump", "key.mtsm", "--json").stdout)
