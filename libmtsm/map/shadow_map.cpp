@@ -1,4 +1,6 @@
 // ShadowMap: the invariants of map.h, checked once, and the min/max-z hierarchy.
+#include <algorithm>
+#include <atomic>
 #include <bit>
 #include <cmath>
 #include <cstring>
@@ -6,12 +8,15 @@
 #include <set>
 
 #include "base/message.h"
+#include "base/parallel.h"
 #include "mtsm/map.h"
 
 namespace mtsm {
 namespace {
 
 using base::makeError;
+
+constexpr std::uint32_t kRowsPerTask = 32;
 
 template <typename... Parts>
 Error invalid(const Parts&... parts) {
@@ -62,13 +67,11 @@ Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
     map.tilesX_ = (i.width + i.tileSize - 1) / i.tileSize;
     map.tilesY_ = (i.height + i.tileSize - 1) / i.tileSize;
     map.tileShift_ = static_cast<std::uint32_t>(std::countr_zero(i.tileSize));
-    for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
-        for (std::uint32_t ty = 0; ty < map.tilesY_; ++ty) {
-            for (std::uint32_t tx = 0; tx < map.tilesX_; ++tx) {
-                if (auto s = map.checkTile(face, tx, ty); !s) return s.error();
-                map.layerCount_ += map.tile(face, tx, ty).z.size();
-                map.isOpaque_ = map.isOpaque_ && map.tile(face, tx, ty).v.empty();
-            }
+    if (auto s = map.checkTiles(); !s) return s.error();
+    for (const MapFace& face : map.faces_) {
+        for (const Tile& t : face.tiles) {
+            map.layerCount_ += t.z.size();
+            map.isOpaque_ = map.isOpaque_ && t.v.empty();
         }
     }
     map.buildHierarchy();
@@ -116,6 +119,25 @@ Status ShadowMap::checkShape() const {
                            tilesX, " x ", tilesY);
     }
     return {};
+}
+
+/// In parallel; the error is that of the first tile that has one.
+Status ShadowMap::checkTiles() const {
+    const std::size_t perFace = std::size_t(tilesX_) * tilesY_;
+    const std::size_t tiles = perFace * faces_.size();
+    const auto check = [&](std::size_t i) {
+        const std::size_t inFace = i % perFace;
+        return checkTile(std::uint32_t(i / perFace), std::uint32_t(inFace % tilesX_),
+                         std::uint32_t(inFace / tilesX_));
+    };
+    std::atomic<std::size_t> firstBad{tiles};
+    base::parallelFor(std::size_t(0), tiles, [&](std::size_t i) {
+        if (check(i)) return;
+        std::size_t known = firstBad;
+        while (i < known && !firstBad.compare_exchange_weak(known, i)) {
+        }
+    });
+    return firstBad < tiles ? check(firstBad) : Status();
 }
 
 Status ShadowMap::checkTile(std::uint32_t face, std::uint32_t tx,
@@ -235,11 +257,16 @@ void ShadowMap::buildHierarchy() {
             Level l;
             l.width = width;
             l.nodes.resize(std::size_t(width) * height);
-            for (std::uint32_t y = 0; y < belowHeight; ++y) {
-                for (std::uint32_t x = 0; x < belowWidth; ++x)
-                    l.nodes[std::size_t(y / 2) * width + x / 2].include(
-                        zRange(face, below, x, y));
-            }
+            base::parallelRanges(0u, height, kRowsPerTask, [&](auto first, auto last) {
+                for (std::uint32_t y = first; y < last; ++y) {
+                    ZRange* const row = l.nodes.data() + std::size_t(y) * width;
+                    for (std::uint32_t j = 2 * y; j < std::min(belowHeight, 2 * y + 2);
+                         ++j) {
+                        for (std::uint32_t x = 0; x < belowWidth; ++x)
+                            row[x / 2].include(zRange(face, below, x, j));
+                    }
+                }
+            });
             hierarchy_[face].push_back(std::move(l));
         }
     }

@@ -195,6 +195,7 @@ class ShadowMap {
     };
     ShadowMap() = default;
     Status checkShape() const;
+    Status checkTiles() const;
     Status checkTile(std::uint32_t face, std::uint32_t tx, std::uint32_t ty) const;
     void buildHierarchy();
 
