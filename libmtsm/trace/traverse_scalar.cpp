@@ -229,9 +229,9 @@ bool attenuate(const PixelLayers& pixel, std::uint32_t channels,
             const double v = visibility(i, c),
                          before = restart ? 1.0 : visibility(i - 1, c);
             double& remaining = state.visible[c];
+            // Of a layer that ends dark, the last sample is what blocks.
             if (v <= 0.0 && last && count > 0) {
-                remaining =
-                    0.0;  // of a layer that ends dark, the last sample is what blocks
+                remaining = 0.0;
             } else if (options.attenuation == Attenuation::subtract) {
                 remaining = std::max(0.0, remaining - (before - v) * share);  // eq. 3
             } else if (count > 0 && v > 0.0 && v < before) {

@@ -78,6 +78,57 @@ TEST_CASE("the weights add up to the irradiance of a disk on its axis",
     CHECK(area * sum / kCount == Approx(area / (R * R + d * d)).epsilon(1e-3));
 }
 
+TEST_CASE("the weights add up to the irradiance of a sphere and of a rect",
+          "[light][exact]") {
+    const base::SquareSequence sequence(11);
+    // A sphere of radiance 1 gives pi (R / D)^2 to a surface that faces its centre,
+    // however close; the density is uniform over the cap that is seen, of area 2 pi R^2
+    // (1 - R / D).
+    AreaLight sphere;
+    sphere.shape = LightShape::sphere;
+    sphere.position = {1, -2, 3};
+    sphere.radius = 0.8;
+    for (const double distance : {0.9, 1.5, 20.0}) {
+        const glm::dvec3 facing = glm::normalize(glm::dvec3(1, 2, -2));
+        const glm::dvec3 p = sphere.position - distance * facing;
+        const LightSampler sampler(sphere);
+        double sum = 0.0;
+        for (int i = 0; i < kCount; ++i) {
+            const auto s = sampler.sample(p, sequence(i));
+            sum += s.weight * glm::dot(s.delta, facing) / glm::length(s.delta);
+        }
+        const double ratio = sphere.radius / distance;
+        const double cap =
+            2 * glm::pi<double>() * sphere.radius * sphere.radius * (1 - ratio);
+        CHECK(cap * sum / kCount ==
+              Approx(glm::pi<double>() * ratio * ratio).epsilon(0.01));
+    }
+    // A rect seen from aside, against a midpoint rule.
+    AreaLight rect;
+    rect.shape = LightShape::rect;
+    rect.direction = {0, 0, 1};
+    rect.up = {0, 1, 0};
+    rect.size = {2, 1};
+    const glm::dvec3 p(1.5, -0.7, 0.9), n = glm::normalize(glm::dvec3(-1, 0.3, -0.8));
+    double expected = 0.0;
+    const int steps = 400;
+    for (int j = 0; j < steps; ++j) {
+        for (int i = 0; i < steps; ++i) {
+            const glm::dvec3 d =
+                glm::dvec3((i + 0.5) / steps * 2 - 1, (j + 0.5) / steps - 0.5, 0) - p;
+            expected +=
+                std::max(0.0, glm::dot(d, n)) * -d.z / std::pow(glm::dot(d, d), 2);
+        }
+    }
+    const LightSampler sampler(rect);
+    double sum = 0.0;
+    for (int i = 0; i < kCount; ++i) {
+        const auto s = sampler.sample(p, sequence(i));
+        sum += s.weight * std::max(0.0, glm::dot(s.delta, n)) / glm::length(s.delta);
+    }
+    CHECK(sum / kCount == Approx(expected / (steps * steps)).epsilon(0.002));
+}
+
 TEST_CASE("a rect's samples lie on it, its height along up", "[light]") {
     AreaLight l;
     l.shape = LightShape::rect;
