@@ -1,5 +1,6 @@
 // name_filter.h - which meshes cast, by the names of what they belong to.
 #pragma once
+#include <set>
 #include <span>
 #include <string>
 #include <vector>
@@ -17,8 +18,12 @@ class NameFilter {
     /// none.
     [[nodiscard]] bool passes(std::span<const char* const> names) const;
 
+    /// The patterns that match none of the names seen by passes(): a slip, perhaps.
+    [[nodiscard]] std::vector<std::string> unmatched() const;
+
   private:
     std::vector<std::string> include_, exclude_;
+    mutable std::set<std::string> matched_;  // patterns
 };
 
 }  // namespace mtsm::scene

@@ -263,9 +263,14 @@ void sendMeshes(const std::string& path, const MeshFileOptions& options,
         return failWithoutTriangles(path, census.points, census.lines, out);
     const Placement placement(*file.scene(), filter);
     sendPlaced(path, *file.scene(), placement, file.format(), options.opacity, out);
-    if (!placement.anyPassed())
+    if (!placement.anyPassed()) {
         for (const std::string& name : placement.names())
             out.name(name);
+    } else {
+        for (const std::string& pattern : filter.unmatched())
+            out.warning(base::concat(path, ": no name matches the pattern \"", pattern,
+                                     "\"; case counts"));
+    }
     if (const std::string ignored = census.ignored(); !ignored.empty())
         out.warning(base::concat(path, ": ignored ", ignored));
     out.end();

@@ -247,6 +247,20 @@ TEST_CASE("indices out of range are an error in every format", "[scene][bad-inpu
     }
 }
 
+TEST_CASE("a pattern that matches no name is told", "[scene]") {
+    const test::TempFolder folder;
+    const std::string path = folder.write("s.gltf", scene());
+    std::vector<std::string> warnings;
+    MeshFileOptions options;
+    options.include = {"hero", "twin"};
+    options.exclude = {"Floor", "ground"};  // the mesh is called "floor"
+    const auto seen = seeFile(path, warnings, options);
+    CHECK(seen.meshes.size() == 2);
+    REQUIRE(warnings.size() == 1);
+    CHECK(contains(warnings[0], path));
+    CHECK(contains(warnings[0], "\"Floor\""));
+}
+
 TEST_CASE("files that are cut off, empty or something else are errors that name them",
           "[scene][bad-input]") {
     const test::TempFolder folder;

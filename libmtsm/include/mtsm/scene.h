@@ -54,7 +54,7 @@ struct MeshFileOptions {
     /// Shell patterns (`*`, `?`, `[a-z]`) matched against whole names: those of the mesh,
     /// its material, its node and all nodes above it. A mesh is a caster if `include` is
     /// empty or one of its names matches one of them, and none of its names matches one
-    /// of `exclude`.
+    /// of `exclude`. Case counts; a pattern that matches nothing in a file is a warning.
     std::vector<std::string> include, exclude;
     /// Replaces every material's, in [0, 1]. Without it: OBJ's d (or 1 - Tr); FBX's
     /// Opacity; glTF's base colour alpha as the alpha mode has it (BLEND: itself, MASK: 0
