@@ -7,6 +7,7 @@
 #include <glm/gtc/constants.hpp>
 #include <limits>
 
+#include "base/finite.h"
 #include "base/message.h"
 #include "light/sample.h"
 #include "raster/triangle.h"
@@ -25,10 +26,6 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 template <typename... Parts>
 Error invalid(const Parts&... parts) {
     return makeError(ErrorCode::badArgument, parts...);
-}
-
-bool finite(glm::dvec3 p) {
-    return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z);
 }
 
 std::string text(glm::dvec3 p) {
@@ -308,8 +305,9 @@ Error nothingCasts(const BakeReport& r) {
 
 Status checkOptions(const BakeOptions& o) {
     if (auto s = checkLight(o.light); !s) return s;
-    if (o.target && !finite(*o.target)) return invalid("--light-target is not finite");
-    if (!finite(o.up)) return invalid("--light-up is not finite");
+    if (o.target && !base::isFinite(*o.target))
+        return invalid("--light-target is not finite");
+    if (!base::isFinite(o.up)) return invalid("--light-up is not finite");
     if (o.width < 1 || o.height < 1 || o.width > kMaxResolution ||
         o.height > kMaxResolution)
         return invalid("--resolution ", o.width, "x", o.height,

@@ -10,6 +10,7 @@
 #include "base/checksum.h"
 #include "base/message.h"
 #include "base/utf8.h"
+#include "format/bad_file.h"
 
 namespace mtsm::format {
 namespace {
@@ -17,11 +18,6 @@ namespace {
 using base::ByteReader;
 using base::ByteWriter;
 using base::makeError;
-
-template <typename... Parts>
-Error bad(const Parts&... parts) {
-    return makeError(ErrorCode::badFile, parts...);
-}
 
 template <std::size_t N>
 bool allZero(const std::array<std::uint8_t, N>& bytes) {

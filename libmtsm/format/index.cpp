@@ -9,17 +9,13 @@
 #include "base/bytes.h"
 #include "base/checksum.h"
 #include "base/message.h"
+#include "format/bad_file.h"
 #include "format/hierarchy.h"
 
 namespace mtsm::format {
 namespace {
 
 using base::makeError;
-
-template <typename... Parts>
-Error bad(const Parts&... parts) {
-    return makeError(ErrorCode::badFile, parts...);
-}
 
 std::uint32_t ceilDivide(std::uint32_t a, std::uint32_t b) {
     return (a + b - 1) / b;

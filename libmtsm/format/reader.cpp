@@ -14,6 +14,7 @@
 #include "base/checksum.h"
 #include "base/message.h"
 #include "base/parallel.h"
+#include "format/bad_file.h"
 #include "format/guard.h"
 #include "format/hierarchy.h"
 #include "format/map_file.h"
@@ -30,11 +31,6 @@ constexpr std::size_t kSkipBytes = 64 << 10;  // read at a time of what is passe
 template <typename... Parts>
 Error located(const Error& error, const Parts&... place) {
     return makeError(error.code, place..., error.message);
-}
-
-template <typename... Parts>
-Error bad(const Parts&... parts) {
-    return makeError(ErrorCode::badFile, parts...);
 }
 
 // --- blocks

@@ -9,17 +9,13 @@
 
 #include "base/bytes.h"
 #include "base/message.h"
+#include "format/bad_file.h"
 #include "format/gradient.h"
 
 namespace mtsm::format {
 namespace {
 
 using base::makeError;
-
-template <typename... Parts>
-Error bad(const Parts&... parts) {
-    return makeError(ErrorCode::badFile, parts...);
-}
 
 struct FreeContext {
     void operator()(ZSTD_DCtx* context) const { ZSTD_freeDCtx(context); }

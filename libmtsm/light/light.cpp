@@ -4,6 +4,7 @@
 #include <glm/geometric.hpp>
 #include <glm/gtc/constants.hpp>
 
+#include "base/finite.h"
 #include "base/message.h"
 #include "mtsm/light.h"
 
@@ -11,10 +12,6 @@ namespace mtsm {
 namespace {
 
 using base::makeError;
-
-bool finite(glm::dvec3 p) {
-    return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z);
-}
 
 }  // namespace
 
@@ -40,11 +37,12 @@ Status checkLight(const AreaLight& light) {
     };
     if (unsigned(light.shape) > unsigned(LightShape::sun))
         return invalid("light shape ", unsigned(light.shape), " is none of 0 to 4");
-    if (!finite(light.position)) return invalid("the light's position is not finite");
+    if (!base::isFinite(light.position))
+        return invalid("the light's position is not finite");
     const double length = glm::length(light.direction);
     if (!(length > 1e-30 && std::isfinite(length)))
         return invalid("the light's direction has no length or is not finite");
-    if (!finite(light.up)) return invalid("the light's up vector is not finite");
+    if (!base::isFinite(light.up)) return invalid("the light's up vector is not finite");
     if (!(light.radius >= 0.0 && std::isfinite(light.radius)))
         return invalid("light radius ", light.radius, " must be finite and not negative");
     if (!(light.size.x >= 0.0 && light.size.y >= 0.0 && std::isfinite(light.size.x) &&

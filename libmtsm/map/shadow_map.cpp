@@ -7,6 +7,7 @@
 #include <glm/geometric.hpp>
 #include <set>
 
+#include "base/finite.h"
 #include "base/message.h"
 #include "base/parallel.h"
 #include "mtsm/map.h"
@@ -23,15 +24,11 @@ Error invalid(const Parts&... parts) {
     return makeError(ErrorCode::badArgument, parts...);
 }
 
-bool finite(glm::dvec3 p) {
-    return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z);
-}
-
 Status checkProjection(const Projection& p, std::uint32_t face) {
     if (p.kind != ProjectionKind::perspective && p.kind != ProjectionKind::orthographic)
         return invalid("face ", face, ": projection kind ", unsigned(p.kind),
                        " is neither perspective (0) nor orthographic (1)");
-    if (!finite(p.eye)) return invalid("face ", face, ": the eye is not finite");
+    if (!base::isFinite(p.eye)) return invalid("face ", face, ": the eye is not finite");
     // The axes are unit vectors at right angles, to what doubles can hold.
     const glm::dvec3 axes[3] = {p.right, p.up, p.forward};
     for (int i = 0; i < 3; ++i) {

@@ -4,17 +4,10 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 
+#include "base/finite.h"
 #include "shadow/query.h"
 
 namespace mtsm::shadow {
-namespace {
-
-bool finite(glm::dvec3 p) {
-    return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z);
-}
-
-}  // namespace
-
 float mean(const trace::ChannelVisibility& v, std::uint32_t channels) noexcept {
     return channels == 3 ? (v[0] + v[1] + v[2]) / 3.0f : v[0];
 }
@@ -39,7 +32,7 @@ Query::Query(const ShadowMap& map, const AreaLight& light,
 float Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
                           QueryStats& stats) const noexcept {
     ++stats.points;
-    if (!finite(point)) {
+    if (!base::isFinite(point)) {
         ++stats.notFinite;
         return 0.0f;
     }
@@ -56,10 +49,9 @@ float Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
     // Scaled first: the square of a length may overflow or vanish.
     const double size =
         std::max({std::abs(normal.x), std::abs(normal.y), std::abs(normal.z)});
-    if (size > 0.0 && finite(normal)) {
+    if (size > 0.0 && base::isFinite(normal)) {
         receiver.hasNormal = true;
-        receiver.normal = glm::normalize(normal / size);
-        receiver.plane = {point, receiver.normal, kPlaneHeight};
+        receiver.plane = {point, glm::normalize(normal / size), kPlaneHeight};
     }
     return blocked(receiver, base::pointKey(point, options_.seed), stats);
 }
@@ -75,7 +67,7 @@ float Query::blocked(const Receiver& receiver, std::uint64_t key,
         const glm::dvec2 u = light_.isPoint() ? glm::dvec2(0.5) : sequence(i);
         const light::LightSample sample = light_.sample(receiver.point, u);
         const double towards =
-            receiver.hasNormal ? glm::dot(sample.delta, receiver.normal) : 1.0;
+            receiver.hasNormal ? glm::dot(sample.delta, receiver.plane.normal) : 1.0;
         double weight = 1.0;
         if (cosine)
             weight = std::max(0.0, towards / glm::length(sample.delta)) * sample.weight;

@@ -37,10 +37,9 @@ class Query {
   private:
     struct Receiver {
         glm::dvec3 point;
-        glm::dvec3 normal;  // unit, if hasNormal
         bool hasNormal = false;
-        trace::ReceiverPlane plane;
-        double bias = 0.0;  // at the receiver's depth
+        trace::ReceiverPlane plane;  // if hasNormal
+        double bias = 0.0;           // at the receiver's depth
     };
     [[nodiscard]] float blocked(const Receiver& receiver, std::uint64_t key,
                                 QueryStats& stats) const noexcept;

@@ -6,6 +6,7 @@
 #include <glm/geometric.hpp>
 #include <mutex>
 
+#include "base/finite.h"
 #include "base/message.h"
 #include "base/parallel.h"
 #include "shadow/query.h"
@@ -65,10 +66,9 @@ void shadowFactors(const ShadowMap& map, const AreaLight& light, const glm::dvec
 
 float visibility(const ShadowMap& map, const ShadowRay& ray,
                  const RayOptions& options) noexcept {
-    const auto finite = [](glm::dvec3 v) {
-        return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z);
-    };
-    if (!finite(ray.origin) || !finite(ray.direction) || !(ray.length > 0.0)) return 1.0f;
+    if (!base::isFinite(ray.origin) || !base::isFinite(ray.direction) ||
+        !(ray.length > 0.0))
+        return 1.0f;
     trace::Ray traced;
     traced.origin = ray.origin;
     traced.delta = ray.direction;
