@@ -32,10 +32,10 @@ using raster::Rasteriser;
 constexpr double kBiasFootprints = 1.0;
 
 Error tooLarge(const BakeOptions& o) {
-    return makeError(ErrorCode::tooLarge, "a map of ", o.width, " x ", o.height,
-                     " pixels with up to ", o.layers, " layers needs more than the ",
-                     o.maxBytes, " bytes of --max-memory: raise it, or lower ",
-                     "--resolution or --layers");
+    return makeError(
+        ErrorCode::tooLarge, "a map of ", o.width, " x ", o.height, " pixels with up to ",
+        o.layers.value_or(5), " layers needs more than the ", o.maxBytes,
+        " bytes of --max-memory: raise it, or lower ", "--resolution or --layers");
 }
 
 raster::Facing facing(Cull cull) {
@@ -80,13 +80,13 @@ Status rasterise(Visits& visits, const Placement& placed, const BakeOptions& opt
                               return tell(done + report.transparent);
                           });
     if (auto s = tell(0); !s) return s;
-    const auto status = visits.each([&](const MeshView& mesh) -> Status {
+    const auto status = visits.each(meshesOnly([&](const MeshView& mesh) -> Status {
         ++report.meshes;
         report.triangles += mesh.triangleCount;
         if (mesh.opacity > 0.0f) return rasteriser.add(mesh);
         report.transparent += mesh.triangleCount;
         return {};
-    });
+    }));
     if (!status) return status;
     if (auto s = rasteriser.finish(); !s) return s;
 
@@ -153,7 +153,7 @@ MapInfo describe(const BakeOptions& options, const Placement& placed) {
     info.height = options.height;
     info.tileSize = KBuffer::kTileSize;
     info.light = placed.light;
-    info.maxLayers = options.layers;
+    info.maxLayers = options.layers.value_or(5);
     info.resets = kAllResets;
     info.software = "libmtsm " MTSM_VERSION;
     info.settings = base::asUtf8(options.settings);
@@ -172,7 +172,7 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
 
     MapInfo info = describe(options, *placed);
     BakeReport report;
-    KBuffer buffer(options.width, options.height, options.layers, budget);
+    KBuffer buffer(options.width, options.height, options.layers.value_or(5), budget);
     if (auto s = rasterise(visits, *placed, options, budget, buffer, info, report); !s)
         return s.error();
     report.readSeconds = visits.readSeconds();

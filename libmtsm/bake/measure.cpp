@@ -127,7 +127,7 @@ void Extent::add(const Extent& other) noexcept {
 Result<Extent> measure(Visits& visits, const Projection& frame, double near, double far) {
     const Depths depths{near, far, frame.kind == ProjectionKind::perspective};
     Extent extent;
-    const Status status = visits.each([&](const MeshView& mesh) -> Status {
+    const Status status = visits.each(meshesOnly([&](const MeshView& mesh) -> Status {
         if (auto s = visits.progress()("reading casters", -1.0); !s) return s;
         ++extent.meshes;
         extent.triangles += mesh.triangleCount;
@@ -136,7 +136,7 @@ Result<Extent> measure(Visits& visits, const Projection& frame, double near, dou
         else
             extent.add(measureMesh(mesh, frame, depths));
         return {};
-    });
+    }));
     if (!status) return status.error();
     // Which of -0 and 0 was met first depends on the order of the triangles.
     for (glm::dvec3* p : {&extent.min, &extent.max})

@@ -312,8 +312,8 @@ Status checkOptions(const BakeOptions& o) {
         o.height > kMaxResolution)
         return invalid("--resolution ", o.width, "x", o.height,
                        ": each side must be 1 to ", kMaxResolution);
-    if (o.layers < 1 || o.layers > 64)
-        return invalid("--layers ", o.layers, " must be 1 to 64");
+    if (o.layers && (*o.layers < 1 || *o.layers > 64))
+        return invalid("--layers ", *o.layers, " must be 1 to 64");
     if (o.fov && o.light.shape == LightShape::sun)
         return invalid("--fov: a sun's rays are parallel and have no field of view");
     if (o.fov && !(*o.fov >= kLeastFov && *o.fov < glm::pi<double>()))

@@ -37,18 +37,19 @@ Status Progress::operator()(const char* stage, double fraction) const {
     return makeError(ErrorCode::cancelled, "the bake was cancelled while ", stage);
 }
 
-Status Visits::each(const MeshVisitor& visitor) {
+Status Visits::each(const CasterVisitor& visitor) {
     const Clock::time_point start = Clock::now();
     visitorSeconds_ = 0.0;
     std::uint64_t number = 0;
     std::exception_ptr thrown;
     Status failed;  // of the first mesh that did, should the source not pass it on
-    const Status status = casters_.visit([&](const MeshView& mesh) -> Status {
+    const Status status = casters_.visit([&](const CasterView& caster) -> Status {
         const Clock::time_point begin = Clock::now();
         Status s;
         try {
-            s = checkMesh(mesh, number++);
-            if (s) s = visitor(mesh);
+            if (const auto* mesh = std::get_if<MeshView>(&caster))
+                s = checkMesh(*mesh, number++);
+            if (s) s = visitor(caster);
         } catch (...) {
             thrown = std::current_exception();
             s = makeError(ErrorCode::cancelled, "the visitor failed");

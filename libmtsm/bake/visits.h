@@ -16,16 +16,16 @@ class Progress {
     const std::function<bool(const char*, double)>& callback_;
 };
 
-/// All meshes, so many times.
+/// All casters, so many times.
 class Visits {
   public:
     Visits(CasterSource& casters, const Progress& progress)
         : casters_(casters), progress_(progress) {}
 
-    /// Hands every mesh to `visitor`, after checking what scene.h promises of it: indices
+    /// Hands every caster to `visitor`, after checking what scene.h promises of it: indices
     /// below the vertex count, an opacity in [0, 1] (badArgument if not). Exceptions that
     /// `visitor` throws come back as thrown, but do not pass through the source.
-    Status each(const MeshVisitor& visitor);
+    Status each(const CasterVisitor& visitor);
 
     [[nodiscard]] const Progress& progress() const { return progress_; }
     /// Spent in the source so far, outside the visitors.

@@ -133,7 +133,7 @@ Result<EmbreeReference> EmbreeReference::build(CasterSource& casters) {
     rtcSetSceneFlags(scene->scene, RTCSceneFlags(RTC_SCENE_FLAG_ROBUST |
                                                  RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION));
     const Status read =
-        casters.visit([&](const MeshView& mesh) { return scene->add(mesh); });
+        casters.visit(meshesOnly([&](const MeshView& mesh) { return scene->add(mesh); }));
     if (!read) return read.error();
     rtcCommitScene(scene->scene);
     if (rtcGetDeviceError(scene->device) != RTC_ERROR_NONE)

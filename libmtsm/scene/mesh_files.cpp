@@ -1,4 +1,4 @@
-// MeshFiles and MeshViews: casters from files, and from memory.
+// MeshFiles and CasterViews: casters from files, and from memory.
 #include <algorithm>
 #include <string>
 #include <utility>
@@ -39,7 +39,7 @@ Status checkOptions(const MeshFileOptions& options, std::size_t files) {
     return {};
 }
 
-Status show(const PlacedMesh& mesh, const MeshVisitor& visitor) {
+Status show(const PlacedMesh& mesh, const CasterVisitor& visitor) {
     MeshView view;
     view.positions = mesh.positions.data();
     view.vertexCount = mesh.positions.size();
@@ -94,11 +94,13 @@ struct MeshFiles::Impl {
     std::vector<File> files;
     std::uint64_t cachedBytes = 0;
 
-    Status visit(File& file, const MeshVisitor& visitor, std::vector<std::string>& names);
-    Status read(File& file, const MeshVisitor& visitor, std::vector<std::string>& names);
+    Status visit(File& file, const CasterVisitor& visitor,
+                 std::vector<std::string>& names);
+    Status read(File& file, const CasterVisitor& visitor,
+                std::vector<std::string>& names);
 };
 
-Status MeshFiles::Impl::visit(File& file, const MeshVisitor& visitor,
+Status MeshFiles::Impl::visit(File& file, const CasterVisitor& visitor,
                               std::vector<std::string>& names) {
     if (!file.cached) return read(file, visitor, names);
     for (const PlacedMesh& mesh : file.meshes)
@@ -106,7 +108,7 @@ Status MeshFiles::Impl::visit(File& file, const MeshVisitor& visitor,
     return {};
 }
 
-Status MeshFiles::Impl::read(File& file, const MeshVisitor& visitor,
+Status MeshFiles::Impl::read(File& file, const CasterVisitor& visitor,
                              std::vector<std::string>& names) {
     if (options.progress && !options.progress(file.path))
         return makeError(ErrorCode::cancelled, file.path, ": reading was cancelled");
@@ -153,10 +155,10 @@ MeshFiles::MeshFiles(std::vector<std::string> paths, MeshFileOptions options)
 
 MeshFiles::~MeshFiles() = default;
 
-Status MeshFiles::visit(const MeshVisitor& visitor) {
+Status MeshFiles::visit(const CasterVisitor& visitor) {
     if (Status s = checkOptions(impl_->options, impl_->files.size()); !s) return s;
     std::uint64_t visited = 0;
-    const MeshVisitor counting = [&](const MeshView& view) {
+    const CasterVisitor counting = [&](const CasterView& view) {
         ++visited;
         return visitor(view);
     };
@@ -167,9 +169,9 @@ Status MeshFiles::visit(const MeshVisitor& visitor) {
     return {};
 }
 
-Status MeshViews::visit(const MeshVisitor& visitor) {
-    for (const MeshView& mesh : meshes_)
-        if (Status s = visitor(mesh); !s) return s;
+Status CasterViews::visit(const CasterVisitor& visitor) {
+    for (const CasterView& caster : casters_)
+        if (Status s = visitor(caster); !s) return s;
     return {};
 }
 

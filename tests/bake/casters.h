@@ -22,8 +22,14 @@ struct Mesh {
     float opacity = 1.0f;
 
     [[nodiscard]] MeshView view() const {
-        return {positions.data(),   positions.size(), indices.data(),
-                indices.size() / 3, worldFromObject,  opacity};
+        MeshView view;
+        view.positions = positions.data();
+        view.vertexCount = positions.size();
+        view.indices = indices.data();
+        view.triangleCount = indices.size() / 3;
+        view.worldFromObject = worldFromObject;
+        view.opacity = opacity;
+        return view;
     }
     void triangle(glm::vec3 a, glm::vec3 b, glm::vec3 c) {
         for (glm::vec3 p : {a, b, c}) {
@@ -40,7 +46,7 @@ struct Mesh {
 class Casters final : public CasterSource {
   public:
     explicit Casters(std::vector<Mesh> m) : meshes(std::move(m)) {}
-    Status visit(const MeshVisitor& visitor) override {
+    Status visit(const CasterVisitor& visitor) override {
         ++visits;
         for (const Mesh& mesh : meshes) {
             if (auto s = visitor(mesh.view()); !s) return s;

@@ -212,7 +212,7 @@ TEST_CASE("a progress callback hears of every stage and can stop each", "[bake]"
 TEST_CASE("what a source reports or throws comes back as an error", "[bake][bad-input]") {
     struct Failing final : CasterSource {
         bool throws = false;
-        Status visit(const MeshVisitor&) override {
+        Status visit(const CasterVisitor&) override {
             if (throws) throw std::runtime_error("the importer fell over");
             return Error{ErrorCode::io, "no such file: hero.glb"};
         }

@@ -71,7 +71,7 @@ Points receivers(const Mesh& body, bool onBody, glm::dvec3 towards, std::size_t 
 
 struct Scene {
     Mesh body = test::bumpyBody(60'000);
-    MeshViews casters{{body.view()}};
+    CasterViews casters{std::vector<CasterView>{body.view()}};
     BakeOptions options;
 
     Scene() {
@@ -107,7 +107,7 @@ TEST_CASE("the ray-traced reference gives the closed form of a half-plane over a
     // The quad reaches from x = -50 to 0, half way up to the light: from x on the floor
     // its edge appears at -x on the light's plane.
     const Mesh blocker = quad(-50, 0, -50, 50, 2);
-    MeshViews casters({blocker.view()});
+    CasterViews casters({blocker.view()});
     auto truth = EmbreeReference::build(casters);
     REQUIRE(truth);
     const double R = 0.4;
@@ -133,7 +133,7 @@ TEST_CASE("a baked quad gives the closed form of a half-plane over a disk",
     for (const float opacity : {1.0f, 0.5f}) {
         MeshView view = blocker.view();
         view.opacity = opacity;
-        MeshViews casters({view});
+        CasterViews casters({view});
         BakeOptions options;
         options.light = diskAbove(4, R);
         options.aimed = true;
@@ -181,7 +181,7 @@ TEST_CASE("a tilted card loses no shadow", "[baseline][statistical]") {
             card.indices = {0, 1, 2, 0, 2, 3};
             MeshView view = card.view();
             view.opacity = opacity;
-            MeshViews casters({view});
+            CasterViews casters({view});
             BakeOptions options;
             options.light = light;
             options.aimed = true;
@@ -236,7 +236,7 @@ TEST_CASE("a body far from the origin casts the same shadow", "[baseline][extrem
     MeshView view = here.body.view();
     const glm::dvec3 offset(1e7, -2e7, 3e7);
     view.worldFromObject[3] = glm::dvec4(offset, 1.0);
-    MeshViews there({view});
+    CasterViews there({view});
     BakeOptions options = here.options;
     options.width = options.height = 256;
     auto near = bake(here.casters, options);

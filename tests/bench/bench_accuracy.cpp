@@ -50,7 +50,7 @@ Points onObject(CasterSource& casters, std::size_t count, glm::dvec3 towards) {
     };
     std::vector<Triangle> triangles;
     std::vector<double> area{0.0};
-    (void)casters.visit([&](const MeshView& mesh) -> Status {
+    (void)casters.visit(meshesOnly([&](const MeshView& mesh) -> Status {
         for (std::size_t i = 0; i < mesh.triangleCount; ++i) {
             const auto corner = [&](std::size_t k) {
                 return glm::dvec3(
@@ -65,7 +65,7 @@ Points onObject(CasterSource& casters, std::size_t count, glm::dvec3 towards) {
             area.push_back(area.back() + 0.5 * glm::length(n));
         }
         return {};
-    });
+    }));
     Points points;
     std::mt19937_64 random(1);
     const auto unit = [&] { return double(random() >> 11) * 0x1p-53; };

@@ -45,7 +45,7 @@ void rasterise(benchmark::State& state) {
     tbb::task_arena arena(int(state.range(1)));
     for (auto _ : state) {
         raster::MemoryBudget budget(options.maxBytes);
-        raster::KBuffer buffer(options.width, options.height, options.layers, budget);
+        raster::KBuffer buffer(options.width, options.height, *options.layers, budget);
         arena.execute([&] {
             raster::Rasteriser rasteriser(projection, raster::Facing::any, buffer);
             if (!rasteriser.add(ball().view()) || !rasteriser.finish())

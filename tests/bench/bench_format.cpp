@@ -16,7 +16,7 @@ using namespace mtsm;
 const ShadowMap& map() {
     static const ShadowMap baked = [] {
         const test::Mesh body = test::bumpyBody(350'000);
-        MeshViews casters({body.view()});
+        CasterViews casters({body.view()});
         BakeOptions options;
         options.light.shape = LightShape::disk;
         options.light.position = {2, 5, 2.5};

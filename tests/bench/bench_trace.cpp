@@ -26,7 +26,7 @@ const ShadowMap& bakedMap(std::uint32_t resolution) {
     auto& map = maps[resolution];
     if (!map) {
         const test::Mesh body = test::bumpyBody(350'000);
-        MeshViews casters({body.view()});
+        CasterViews casters({body.view()});
         BakeOptions options;
         options.light.shape = LightShape::disk;
         options.light.position = {2, 5, 2.5};

@@ -354,7 +354,7 @@ TEST_CASE("a visitor can stop, and the next visit starts afresh", "[scene]") {
     const test::TempFolder folder;
     MeshFiles files({folder.write("a.gltf", scene())});
     int calls = 0;
-    const Status stopped = files.visit([&](const MeshView&) -> Status {
+    const Status stopped = files.visit([&](const CasterView&) -> Status {
         ++calls;
         return Error{ErrorCode::cancelled, "enough"};
     });
@@ -408,12 +408,12 @@ TEST_CASE("meshes in memory are visited in their order until the visitor stops",
     MeshView view{positions, 3, indices, 1, glm::dmat4(1.0), 0.5f};
     MeshView other = view;
     other.opacity = 0.25f;
-    MeshViews views({view, other});
+    CasterViews views({view, other});
     const auto seen = test::see(views);
     REQUIRE(seen.meshes.size() == 2);
     CHECK(seen.meshes[0].opacity == 0.5f);
     CHECK(seen.meshes[1].opacity == 0.25f);
-    const Status stopped = views.visit([](const MeshView&) -> Status {
+    const Status stopped = views.visit([](const CasterView&) -> Status {
         return Error{ErrorCode::cancelled, "enough"};
     });
     CHECK(!stopped);

@@ -88,7 +88,7 @@ struct Seen {
 
 inline Seen see(CasterSource& source) {
     Seen seen;
-    seen.status = source.visit([&](const MeshView& view) -> Status {
+    seen.status = source.visit(meshesOnly([&](const MeshView& view) -> Status {
         SeenMesh mesh;
         for (std::size_t i = 0; i < view.vertexCount; ++i)
             mesh.world.emplace_back(view.worldFromObject *
@@ -97,7 +97,7 @@ inline Seen see(CasterSource& source) {
         mesh.opacity = view.opacity;
         seen.meshes.push_back(std::move(mesh));
         return {};
-    });
+    }));
     return seen;
 }
 

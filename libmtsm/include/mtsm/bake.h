@@ -47,7 +47,26 @@ struct BakeOptions {
     /// for a light of no size 1e-6 of the distance to the casters' far end.
     std::optional<double> near, far;
     std::uint32_t width = 1024, height = 1024;  ///< 1..kMaxResolution
-    std::uint32_t layers = 5;                   ///< nearest samples kept per pixel, 1..64
+    /// Six views of 90 degrees from the light's centre, to all sides: for lights among
+    /// their casters. width and height are a face's and must be equal; no fov.
+    bool cube = false;
+    /// Cap on the layers of a pixel, >= 1. Of opaque surfaces the nearest are kept; what
+    /// lets light through is merged into as many layers, beyond the tolerance if it must
+    /// be. Without: 5 if every caster is an opaque surface, else no cap.
+    std::optional<std::uint32_t> layers;
+    /// Bound on |V - V'| along the centre ray that compression may introduce, in [0, 1];
+    /// 0 keeps every sample as it is.
+    float tolerance = 0.005f;
+    /// Bounds on what one layer of several samples may hold, so that rays across the
+    /// centre ray are right too: its optical depth, and its length in pixel footprints.
+    float layerOpticalDepth = 0.4f, layerLength = 8.0f;
+    /// Times that the accumulation of visibility may start again in a pixel.
+    std::uint32_t resets = kAllResets;
+    std::uint32_t subsamples = 1;  ///< centre rays per side of a pixel, 1..8
+    /// Three visibility channels, for casters that tint the light.
+    bool color = false;
+    /// Keeps samples that no point of the light can see.
+    bool keepHidden = false;
     /// z threshold, >= 0, world units. Without: a pixel's footprint at a layer's depth.
     std::optional<float> bias;
     Cull cull = Cull::none;  ///< faces turned away from (back) or to (front) the eye
@@ -62,13 +81,21 @@ struct BakeOptions {
 /// What the bake met.
 struct BakeReport {
     std::uint64_t meshes = 0, triangles = 0;
+    std::uint64_t strands = 0, segments = 0;  ///< of hair
+    std::uint64_t volumes = 0, voxels = 0;
     std::uint64_t degenerate = 0;   ///< no area, or less than a double resolves
     std::uint64_t nonFinite = 0;    ///< a vertex is NaN or infinite
     std::uint64_t culled = 0;       ///< by `cull`
     std::uint64_t transparent = 0;  ///< left out because their opacity is 0
     std::uint64_t outside = 0;      ///< wholly outside window, near and far
     std::uint64_t clipped = 0;      ///< cut by near or far, or reaching out of the window
-    double readSeconds = 0, rasterSeconds = 0;
+    std::uint64_t passes = 1;  ///< times that the casters were rasterised, band by band
+    std::uint64_t droppedByLayers = 0;  ///< samples, because of the cap on layers
+    std::uint64_t droppedByResets = 0;  ///< samples behind the last reset
+    std::uint64_t droppedHidden = 0;    ///< layers that no point of the light sees
+    /// Pixels in which the cap on layers took more than the tolerance allows.
+    std::uint64_t pixelsOverTolerance = 0;
+    double readSeconds = 0, rasterSeconds = 0, compressSeconds = 0;
 };
 
 struct Baked {

@@ -5,26 +5,30 @@
 //     mtsm::MeshFiles casters({"hero.glb", "props.obj"}, options);
 //     auto baked = mtsm::bake(casters, bakeOptions);          // mtsm/bake.h
 //
-// A caster source hands its meshes over one after another and may be asked more than once
-// (for bounds, for the window, for rasterising): the same meshes come in the same order
-// every time. Files are read in a child process, because importers die on some broken
-// files: a file that kills its importer is an Error like any other. The child is a fork
-// of the calling thread; that is fine in a process with other threads, TBB's included
-// (libmtsm/scene/isolate.h says what it relies on). Different sources may be used from
-// different threads at once.
+// Casters are triangle meshes (with an opacity, or with a texture of opacities), strands
+// of hair, and volumes. A caster source hands them over one after another and may be
+// asked more than once (for bounds, for the window, for rasterising): the same casters
+// come in the same order every time. Mesh files are read in a child process, because
+// importers die on some broken files: a file that kills its importer is an Error like any
+// other. The child is a fork of the calling thread; that is fine in a process with other
+// threads, TBB's included (libmtsm/scene/isolate.h says what it relies on). Different
+// sources may be used from different threads at once.
 #pragma once
 #include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <glm/mat4x4.hpp>
+#include <glm/vec2.hpp>
 #include <glm/vec3.hpp>
 #include <memory>
 #include <optional>
 #include <string>
 #include <utility>
+#include <variant>
 #include <vector>
 
 #include "mtsm/light.h"
+#include "mtsm/opacity_texture.h"
 #include "mtsm/result.h"
 
 namespace mtsm {
@@ -38,16 +42,72 @@ struct MeshView {
     std::size_t triangleCount = 0;
     glm::dmat4 worldFromObject{1.0};  ///< affine
     float opacity = 1.0f;             ///< in [0, 1]; 0 casts nothing
+    /// Colour that light takes on in passing, each in [0, 1]: see channelOpacity().
+    glm::vec3 tint{1.0f};
+    /// [vertexCount], texture coordinates; null without a texture.
+    const glm::vec2* uvs = nullptr;
+    /// If not null it says how opaque every point is, and opacity and tint do not count.
+    const OpacityTexture* texture = nullptr;
 };
 
+/// How much of red, green and blue a surface of this opacity and tint stops: what passes,
+/// 1 - opacity of it, has been tinted as much as there was to pass through. A white tint
+/// makes all three `opacity`.
+[[nodiscard]] inline glm::vec3 channelOpacity(float opacity, glm::vec3 tint) noexcept {
+    const glm::vec3 white(1.0f);
+    return white - (1.0f - opacity) * (white - opacity * (white - tint));
+}
+
+/// Strands of hair, fur or grass: lines of points with a width. Pointers are borrowed.
+struct StrandsView {
+    const glm::vec3* points = nullptr;  ///< [begin[strandCount]], object space
+    /// [strandCount + 1]: strand s has points [begin[s], begin[s + 1]).
+    const std::uint32_t* begin = nullptr;
+    std::size_t strandCount = 0;
+    /// [points], full width across the strand, object units, >= 0; null: all are `width`.
+    const float* widths = nullptr;
+    float width = 0.0f;
+    /// [points], of light that crosses the strand, in [0, 1]; null: all are `opacity`.
+    const float* opacities = nullptr;
+    float opacity = 1.0f;
+    glm::dmat4 worldFromObject{1.0};  ///< affine; widths grow by the cube root of |det|
+};
+
+/// A fog volume: a grid of densities, constant over each voxel, in blocks of 8 x 8 x 8;
+/// where there is no block there is nothing. Pointers are borrowed.
+struct VolumeView {
+    static constexpr int kBlockSide = 8;
+    static constexpr int kBlockVoxels = kBlockSide * kBlockSide * kBlockSide;
+
+    /// [blockCount], each once: index of the block's lowest voxel, a multiple of 8.
+    const glm::ivec3* blocks = nullptr;
+    std::size_t blockCount = 0;
+    /// [blockCount][z][y][x]: density, finite, >= 0.
+    const float* density = nullptr;
+    /// Index space to world, affine: voxel (i, j, k) covers (i, j, k) +- 0.5.
+    glm::dmat4 worldFromIndex{1.0};
+    float extinction = 1.0f;  ///< per unit of density and world unit of length, >= 0
+};
+
+using CasterView = std::variant<MeshView, StrandsView, VolumeView>;
+
 /// Returns an Error to stop the visit.
-using MeshVisitor = std::function<Status(const MeshView&)>;
+using CasterVisitor = std::function<Status(const CasterView&)>;
+
+/// A visitor that is shown meshes and passes over everything else.
+[[nodiscard]] inline CasterVisitor meshesOnly(
+    std::function<Status(const MeshView&)> visitor) {
+    return [visitor = std::move(visitor)](const CasterView& caster) -> Status {
+        const auto* mesh = std::get_if<MeshView>(&caster);
+        return mesh ? visitor(*mesh) : Status{};
+    };
+}
 
 class CasterSource {
   public:
     virtual ~CasterSource() = default;
-    /// Calls `visitor` once per mesh, in a fixed order, from the calling thread.
-    virtual Status visit(const MeshVisitor& visitor) = 0;
+    /// Calls `visitor` once per caster, in a fixed order, from the calling thread.
+    virtual Status visit(const CasterVisitor& visitor) = 0;
 };
 
 struct MeshFileOptions {
@@ -90,7 +150,7 @@ class MeshFiles final : public CasterSource {
   public:
     explicit MeshFiles(std::vector<std::string> paths, MeshFileOptions options = {});
     ~MeshFiles() override;
-    Status visit(const MeshVisitor& visitor) override;
+    Status visit(const CasterVisitor& visitor) override;
 
     MeshFiles(const MeshFiles&) = delete;
     MeshFiles& operator=(const MeshFiles&) = delete;
@@ -100,14 +160,15 @@ class MeshFiles final : public CasterSource {
     std::unique_ptr<Impl> impl_;
 };
 
-/// Meshes that the caller holds in memory; they must outlive the source.
-class MeshViews final : public CasterSource {
+/// Casters that the caller holds in memory; they must outlive the source.
+class CasterViews final : public CasterSource {
   public:
-    explicit MeshViews(std::vector<MeshView> meshes) : meshes_(std::move(meshes)) {}
-    Status visit(const MeshVisitor& visitor) override;
+    explicit CasterViews(std::vector<CasterView> casters)
+        : casters_(std::move(casters)) {}
+    Status visit(const CasterVisitor& visitor) override;
 
   private:
-    std::vector<MeshView> meshes_;
+    std::vector<CasterView> casters_;
 };
 
 /// A light that an input file holds.
