@@ -12,9 +12,9 @@
 // quads end square instead. The ends of a strand are square. A segment along the view ray
 // has no area and casts nothing.
 //
-// Each quad is cut by the pixel grid; areas are exact but for the rounding of doubles. The
-// areas of one strand in one pixel are added up over its consecutive segments, that is a
-// run, and a run of area c (1 at most) becomes one sample: opacity a c, a being the
+// Each quad is cut by the pixel grid; areas are exact but for the rounding of doubles.
+// The areas of one strand in one pixel are added up over its consecutive segments, that
+// is a run, and a run of area c (1 at most) becomes one sample: opacity a c, a being the
 // strand's opacity there, at the depth of the run's centroid. (Means over the run are
 // weighted by area; for a perspective projection it is 1/z, linear on the raster, that is
 // averaged.) A run ends where the strand leaves the pixel, and where its depth has moved
@@ -69,7 +69,7 @@ struct PreparedSegment {
     float opacity[2];
     std::uint32_t strand;  ///< counts the strands of its slice
     std::uint32_t order;   ///< along the strand: consecutive pieces have consecutive ones
-    /// Pixels of window and held rows that it may touch: not empty.
+    /// Pixels of the window that it may touch: not empty.
     std::uint16_t x0, y0, x1, y1;
 };
 
@@ -113,7 +113,6 @@ class StrandRasteriser {
     std::uint32_t binShift_ = 0, binsX_ = 0, binsY_ = 0;
     std::vector<Slice> slices_;
     std::size_t filling_ = 0;  // the slice that takes the next strand
-    std::uint64_t pending_ = 0, done_ = 0;
     StrandCounts counts_;
     std::mutex idleMutex_;
     std::vector<std::unique_ptr<TileRuns>> idle_;  // a thread borrows one per bin

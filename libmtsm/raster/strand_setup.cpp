@@ -28,9 +28,9 @@ glm::dvec2 mix(glm::dvec2 a, glm::dvec2 b, double t) {
 
 /// What has happened to the strand so far.
 struct StrandSetup::Fate {
-    bool cut = false;           // by near or far
-    bool reachesOut = false;    // some of it lies outside the window
-    bool inWindow = false;      // some of it lies inside
+    bool cut = false;         // by near or far
+    bool reachesOut = false;  // some of it lies outside the window
+    bool inWindow = false;    // some of it lies inside
 };
 
 struct StrandSetup::Output {
@@ -49,8 +49,8 @@ StrandSetup::StrandSetup(const Projection& projection, const SampleGrid& grid) n
       finestScale_(std::max(std::abs(scale_.x), std::abs(scale_.y))),
       width_(grid.width()),
       height_(grid.height()),
-      firstRow_(std::int32_t(grid.firstPixelRow())),
-      endRow_(std::int32_t(grid.endPixelRow())) {
+      firstRow_(grid.firstPixelRow()),
+      endRow_(grid.endPixelRow()) {
     // Distances from the guard band's sides, linear in light space: see triangle.cpp.
     const auto side = [&](glm::dvec2 axis, double constant) {
         return perspective_ ? ClipPlane{{axis.x, axis.y, constant}, 0.0}
@@ -288,11 +288,12 @@ void StrandSetup::emitPiece(const Segment& s, glm::dvec2 side0, glm::dvec2 side1
     if (!(low.x < width_ && low.y < height_ && high.x > 0.0 && high.y > 0.0)) return;
     out.fate.inWindow = true;
 
+    // The corner must not depend on the rows held, or rounding would.
     const double x0 = std::floor(std::max(low.x, 0.0));
-    const double y0 = std::floor(std::max(low.y, double(firstRow_)));
+    const double y0 = std::floor(std::max(low.y, 0.0));
     const double x1 = std::min(std::floor(high.x), width_ - 1.0);
-    const double y1 = std::min(std::floor(high.y), double(endRow_) - 1.0);
-    if (!(x0 <= x1 && y0 <= y1)) return;
+    const double y1 = std::min(std::floor(high.y), height_ - 1.0);
+    if (y1 < firstRow_ || y0 >= endRow_) return;
     const auto between = [](double from, double to, double t) {
         return float(from + t * (to - from));
     };

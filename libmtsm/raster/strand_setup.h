@@ -72,8 +72,8 @@ class StrandSetup {
     glm::dvec2 scale_, offset_;
     double near_, far_, finestScale_;
     ClipPlane guard_[4];
-    double width_, height_;               // of the window, pixels
-    std::int32_t firstRow_, endRow_;      // of pixels, those that are held
+    double width_, height_;     // of the window, pixels
+    double firstRow_, endRow_;  // of pixels, those that are held
 };
 
 }  // namespace mtsm::raster
