@@ -73,8 +73,9 @@ class Traversal {
           options_(options),
           state_(state),
           sheets_(!map.isOpaque() && map.info().translucent == Translucent::sheets),
-          tSurfaces_(map.info().translucent == Translucent::media ? ray.tSurfaces
-                                                                  : -HUGE_VAL) {
+          media_(map.info().translucent == Translucent::media),
+          tSurfaces_(media_ ? ray.tSurfaces : -HUGE_VAL),
+          length_(media_ ? glm::length(ray.delta) : 1.0) {
         const Projection& p = map.projection(face);
         const glm::dvec3 o = p.lightFromWorld(ray.origin);
         const glm::dvec3 d = p.lightFromWorldDirection(ray.delta);
@@ -154,6 +155,7 @@ class Traversal {
             }
         }
         const PixelLayers pixel = map_.pixel(face_, x, y);
+        if (media_) crossing.stretch = stretch(x, y);
         if (t.begin < tSurfaces_) {
             PixelCrossing start = crossing;
             start.surfaces = false;
@@ -164,12 +166,26 @@ class Traversal {
         return attenuate(pixel, map_.info(), crossing, options_, state_);
     }
 
+    /// A medium takes from a ray by the length of its way, and what a sample says of that
+    /// was found along the centre ray.
+    [[nodiscard]] double stretch(std::uint32_t x, std::uint32_t y) const {
+        const Projection& p = map_.projection(face_);
+        double centre = 1.0;
+        if (p.kind == ProjectionKind::perspective) {
+            const glm::dvec2 c = (glm::dvec2(x + 0.5, y + 0.5) - p.offset) / p.scale;
+            centre = std::sqrt(1.0 + c.x * c.x + c.y * c.y);
+        }
+        return std::min(length_ / (std::abs(z_.b) * centre), kMostStretch);
+    }
+
     const ShadowMap& map_;
     std::uint32_t face_;
     const TraceOptions& options_;
     RayState& state_;
-    bool sheets_;       // that let light through: followed a little beyond the bias
+    bool sheets_;  // that let light through: followed a little beyond the bias
+    bool media_;
     double tSurfaces_;  // where surfaces begin to count
+    double length_;     // per unit of t
     Linear x_, y_, h_, z_;
 };
 
@@ -281,9 +297,8 @@ struct Layers {
 /// Takes `count` of the samples of layer i, the last one of them if `last`; true if the
 /// ray is now at or below the threshold.
 bool take(const Layers& layers, std::uint32_t i, bool restart, std::uint32_t count,
-          bool last, const TraceOptions& options, RayState& state) {
-    const std::uint32_t n = layers.n(i);
-    const double share = double(count) / n;
+          bool last, double stretch, const TraceOptions& options, RayState& state) {
+    const double share = double(count) / layers.n(i), power = stretch * share;
     const bool blocks = last && count > 0 && layers.isDark(i);
     bool dark = true;
     for (std::uint32_t c = 0; c < layers.channels; ++c) {
@@ -297,7 +312,7 @@ bool take(const Layers& layers, std::uint32_t i, bool restart, std::uint32_t cou
         } else if (options.attenuation == Attenuation::subtract) {
             remaining = std::max(0.0, remaining - (before - v) * share);  // eq. 3
         } else if (v > 0.0) {
-            remaining *= count == n ? v / before : std::pow(v / before, share);
+            remaining *= power == 1.0 ? v / before : std::pow(v / before, power);
         }
         dark = dark && remaining <= options.threshold;
     }
@@ -358,7 +373,7 @@ bool meetSheets(const Layers& layers, const PixelCrossing& crossing,
                                                   samplesWithin(zBefore, z, n, left));
             count -= std::min(count, std::uint32_t(known));
         }
-        if (take(layers, i, restart, count, last, options, state)) return true;
+        if (take(layers, i, restart, count, last, 1.0, options, state)) return true;
         restart = opaque;
     }
     return false;
@@ -381,7 +396,8 @@ bool meetMedia(const Layers& layers, const PixelCrossing& crossing,
         const std::uint32_t count = surface ? z >= surfaces.low && z <= surfaces.high
                                             : crossed.samples(zBefore, z, n);
         const bool last = surface || !(crossed.high < Cut{z, true});
-        if (take(layers, i, restart, count, last, options, state)) return true;
+        if (take(layers, i, restart, count, last, crossing.stretch, options, state))
+            return true;
         restart = dark;
     }
     return false;
