@@ -66,15 +66,15 @@ Crossing cross(Interval i, Linear f) noexcept {
 
 class Traversal {
   public:
-    Traversal(const ShadowMap& map, std::uint32_t face, const Ray& ray,
+    Traversal(const ShadowMap& map, std::uint32_t face, const Ray& ray, bool surfaces,
               const TraceOptions& options, RayState& state)
         : map_(map),
           face_(face),
           options_(options),
           state_(state),
+          surfaces_(surfaces),
           sheets_(!map.isOpaque() && map.info().translucent == Translucent::sheets),
           media_(map.info().translucent == Translucent::media),
-          tSurfaces_(media_ ? ray.tSurfaces : -HUGE_VAL),
           length_(media_ ? glm::length(ray.delta) : 1.0) {
         const Projection& p = map.projection(face);
         const glm::dvec3 o = p.lightFromWorld(ray.origin);
@@ -120,7 +120,7 @@ class Traversal {
         const double reach = sheets_ ? 2.0 * bias : bias;
         // Also true for an empty node, whose range is (+inf, -inf).
         if (!(range.min <= zHigh + reach && range.max >= zLow - reach)) return false;
-        if (level == 0) return meet(x, y, t, {zEnter, zExit, bias, {}});
+        if (level == 0) return meet(x, y, t, {zEnter, zExit, bias, {}, surfaces_});
 
         const std::uint32_t half = 1u << (level - 1);
         const double xMiddle = double((2 * x + 1) * half),
@@ -154,16 +154,9 @@ class Traversal {
                 return false;
             }
         }
-        const PixelLayers pixel = map_.pixel(face_, x, y);
         if (media_) crossing.stretch = stretch(x, y);
-        if (t.begin < tSurfaces_) {
-            PixelCrossing start = crossing;
-            start.surfaces = false;
-            if (t.end > tSurfaces_) start.zExit = crossing.zEnter = z_.at(tSurfaces_);
-            if (attenuate(pixel, map_.info(), start, options_, state_)) return true;
-            if (!(t.end > tSurfaces_)) return false;
-        }
-        return attenuate(pixel, map_.info(), crossing, options_, state_);
+        return attenuate(map_.pixel(face_, x, y), map_.info(), crossing, options_,
+                         state_);
     }
 
     /// A medium takes from a ray by the length of its way, and what a sample says of that
@@ -182,45 +175,58 @@ class Traversal {
     std::uint32_t face_;
     const TraceOptions& options_;
     RayState& state_;
-    bool sheets_;  // that let light through: followed a little beyond the bias
+    bool surfaces_;  // do they count?
+    bool sheets_;    // that let light through: followed a little beyond the bias
     bool media_;
-    double tSurfaces_;  // where surfaces begin to count
-    double length_;     // per unit of t
+    double length_;  // per unit of t, of media
     Linear x_, y_, h_, z_;
 };
 
-/// The ray through six faces, in order.
-void traceFaces(const ShadowMap& map, const Ray& ray, const TraceOptions& options,
-                RayState& state) {
+/// Where a ray is to be traced, and what is to count there.
+struct Stretch {
+    Interval t;
+    bool surfaces = true;
+};
+
+/// Each face in turn that the ray is in; true if it fell to the threshold.
+bool traceFaces(const ShadowMap& map, const Ray& ray, Stretch stretch,
+                const TraceOptions& options, RayState& state) {
     std::array<Linear, 6> depth;
-    double t = ray.tBegin;
+    Interval t = stretch.t;
     std::uint32_t face = 0;
     for (std::uint32_t f = 0; f < 6; ++f) {
         const Projection& p = map.projection(f);
         depth[f] = {glm::dot(p.forward, ray.origin - p.eye),
                     glm::dot(p.forward, ray.delta)};
-        if (depth[f].at(t) > depth[face].at(t)) face = f;
+        if (depth[f].at(t.begin) > depth[face].at(t.begin)) face = f;
     }
     // The depth in the ray's face is overtaken by one that grows faster, five times at
     // most.
     for (;;) {
-        double end = ray.tEnd;
+        t.end = stretch.t.end;
         std::uint32_t next = face;
         for (std::uint32_t f = 0; f < 6; ++f) {
             const Linear lead = depth[face] - depth[f];
             if (!(lead.b < 0.0)) continue;
-            const double overtakes = std::max(t, -lead.a / lead.b);
-            if (overtakes < end ||
-                (overtakes == end && next != face && depth[f].b > depth[next].b)) {
-                end = overtakes;
+            const double overtakes = std::max(t.begin, -lead.a / lead.b);
+            if (overtakes < t.end ||
+                (overtakes == t.end && next != face && depth[f].b > depth[next].b)) {
+                t.end = overtakes;
                 next = f;
             }
         }
-        if (Traversal(map, face, ray, options, state).run({t, end})) return;
-        if (next == face) return;
-        t = end;
+        if (Traversal(map, face, ray, stretch.surfaces, options, state).run(t))
+            return true;
+        if (next == face) return false;
+        t.begin = t.end;
         face = next;
     }
+}
+
+bool trace(const ShadowMap& map, const Ray& ray, Stretch stretch,
+           const TraceOptions& options, RayState& state) {
+    if (map.faceCount() > 1) return traceFaces(map, ray, stretch, options, state);
+    return Traversal(map, 0, ray, stretch.surfaces, options, state).run(stretch.t);
 }
 
 /// How many of the n samples at a + j (b - a) / n, j = 1..n, lie in front of depth z; or
@@ -452,10 +458,13 @@ ChannelVisibility traceRay(const ShadowMap& map, const Ray& ray,
                            const TraceOptions& options) noexcept {
     if (ray.delta == glm::dvec3(0.0)) return {1.0f, 1.0f, 1.0f};
     RayState state;
-    if (map.faceCount() == 1)
-        Traversal(map, 0, ray, options, state).run({ray.tBegin, ray.tEnd});
-    else
-        traceFaces(map, ray, options, state);
+    Interval t{ray.tBegin, ray.tEnd};
+    if (map.info().translucent == Translucent::media && ray.tSurfaces > t.begin) {
+        const Interval start{t.begin, std::min(ray.tSurfaces, t.end)};
+        trace(map, ray, {start, false}, options, state);
+        t.begin = start.end;
+    }
+    trace(map, ray, {t, true}, options, state);
     return channelsOf(state, map.info().channels, options.threshold);
 }
 
