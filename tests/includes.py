@@ -33,6 +33,7 @@ HEAVY = {
     "xxhash": {"base"},
     "CLI": set(),
     "nlohmann": set(),
+    "toml++": set(),
 }
 
 
