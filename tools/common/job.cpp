@@ -15,7 +15,9 @@
 #include <fstream>
 #include <glm/gtc/matrix_transform.hpp>
 #include <glm/trigonometric.hpp>
+#include <map>
 #include <optional>
+#include <set>
 #include <string_view>
 
 #include "common/arguments.h"
@@ -137,10 +139,12 @@ const char* expected(Form form) {
     return "";
 }
 
-/// How a table is spoken of.
-std::string tableText(std::string_view table) {
-    if (table.empty()) return "the top of the file, before the first table";
-    return table == "caster" ? "[[caster]]" : "[" + std::string(table) + "]";
+constexpr std::string_view kTables[] = {"light", "map", "caster"};
+
+/// Where a table's keys stand.
+std::string inTable(std::string_view table) {
+    if (table.empty()) return "at the top of the file, before the first table";
+    return table == "caster" ? "in [[caster]]" : "in [" + std::string(table) + "]";
 }
 
 // --- near misses
@@ -194,7 +198,11 @@ std::string suggestion(std::string_view table, std::string_view unknown) {
     for (const Key& k : kKeys) {
         const std::string option = std::string(k.prefix) + std::string(k.name);
         if (k.name == key || option == key)
-            return inQuotes(k.name) + " belongs in " + tableText(k.table);
+            return inQuotes(k.name) + " belongs " + inTable(k.table);
+    }
+    if (table.empty()) {
+        for (const std::string_view name : kTables)
+            if (distance(key, name) <= 1) return "did you mean " + inQuotes(name) + "?";
     }
     const Key* nearest = nullptr;
     std::size_t least = 1 + std::max<std::size_t>(1, key.size() / 3);
@@ -208,7 +216,7 @@ std::string suggestion(std::string_view table, std::string_view unknown) {
     }
     if (nearest)
         return "did you mean " + inQuotes(nearest->name) +
-               (nearest->table == table ? "?" : " in " + tableText(nearest->table) + "?");
+               (nearest->table == table ? "?" : " " + inTable(nearest->table) + "?");
     std::string list;
     for (const Key& k : kKeys)
         if (k.table == table) list += (list.empty() ? "" : ", ") + std::string(k.name);
@@ -403,15 +411,16 @@ toml::table Reader::parse() const {
 const Key& Reader::find(std::string_view table, const toml::key& key) const {
     for (const Key& k : kKeys)
         if (k.table == table && k.name == key.str()) return k;
-    refuse(place(key.source().begin), "unknown key " + inQuotes(key.str()) + " in " +
-                                          tableText(table) + ": " +
+    refuse(place(key.source().begin), "unknown key " + inQuotes(key.str()) + " " +
+                                          inTable(table) + ": " +
                                           suggestion(table, key.str()));
 }
 
 void Reader::readSettings(std::string_view table, const toml::table& content) {
     for (const auto& [key, value] : content) {
-        if (table.empty() && (key == "light" || key == "map" || key == "caster"))
-            continue;
+        const bool isTable = std::find(std::begin(kTables), std::end(kTables),
+                                       key.str()) != std::end(kTables);
+        if (table.empty() && isTable) continue;
         const Key& known = find(table, key);
         auto spelling = spell(known.form, value);
         if (!spelling) refuseValue(known, value);
@@ -535,40 +544,47 @@ Result<Job> readJob(const std::string& path) {
     }
 }
 
+namespace {
+
+[[noreturn]] void refuseSetting(const JobSetting& setting, const std::string& why) {
+    throw Failure{{ErrorCode::badFile, setting.place + ": " + printable(why)}};
+}
+
+/// Gives `option` the setting's value, as if the command line had.
+void give(CLI::Option& option, const JobSetting& setting) {
+    try {
+        option.add_result(setting.value);
+        option.run_callback();
+    } catch (const UsageError& wrong) {
+        std::string why = wrong.what();
+        if (why.starts_with(setting.option))
+            why = setting.key + why.substr(setting.option.size());
+        refuseSetting(setting, why);
+    } catch (const CLI::ParseError& wrong) {
+        refuseSetting(setting, setting.key + ": " + wrong.what());
+    }
+}
+
+}  // namespace
+
 void applyJob(const Job& job, CLI::App& app) {
-    std::vector<const CLI::Option*> given, fromJob;
+    std::set<const CLI::Option*> given;  // by the command line
     for (const CLI::Option* option : app.get_options())
-        if (option->count() > 0) given.push_back(option);
-    const auto isIn = [](const std::vector<const CLI::Option*>& list,
-                         const CLI::Option* option) {
-        return std::find(list.begin(), list.end(), option) != list.end();
-    };
-    const auto refuse = [](const JobSetting& s, const std::string& why) {
-        throw Failure{{ErrorCode::badFile, s.place + ": " + why}};
-    };
+        if (option->count() > 0) given.insert(option);
+    std::map<const CLI::Option*, const JobSetting*> taken;
     for (const JobSetting& setting : job.settings) {
         CLI::Option* option = app.get_option_no_throw(setting.option);
-        if (!option || isIn(given, option)) continue;
+        if (!option || given.count(option)) continue;
         bool overruled = false;
         for (const CLI::Option* other : option->get_excludes()) {
-            overruled = overruled || isIn(given, other);
-            if (isIn(fromJob, other))
-                refuse(setting,
-                       setting.key + " and " + other->get_name() + " exclude each other");
+            overruled = overruled || given.count(other);
+            if (const auto at = taken.find(other); at != taken.end())
+                refuseSetting(setting, setting.key + " and " + at->second->key +
+                                           " exclude each other");
         }
         if (overruled) continue;
-        try {
-            option->add_result(setting.value);
-            option->run_callback();
-        } catch (const UsageError& wrong) {
-            std::string why = wrong.what();
-            if (why.starts_with(setting.option))
-                why = setting.key + why.substr(setting.option.size());
-            refuse(setting, printable(why));
-        } catch (const CLI::ParseError& wrong) {
-            refuse(setting, setting.key + ": " + wrong.what());
-        }
-        fromJob.push_back(option);
+        give(*option, setting);
+        taken[option] = &setting;
     }
 }
 
