@@ -140,6 +140,7 @@ ordered_json summaryJson(const Arguments& a, const Description& d, const ShadowM
         j["projections"].push_back(projectionJson(map.projection(f)));
     j["bias"] = info.bias;
     j["biasPerDepth"] = info.biasPerDepth;
+    j["translucent"] = info.translucent == Translucent::media ? "media" : "sheets";
     j["maxLayers"] = info.maxLayers;
     j["resets"] =
         info.resets == kAllResets ? ordered_json("all") : ordered_json(info.resets);
@@ -239,6 +240,9 @@ void lightRows(Rows& rows, const ShadowMap& map) {
     rows.row("bias", info.biasPerDepth > 0.0f && info.bias == 0.0f
                          ? numberText(info.biasPerDepth) + " of a layer's depth"
                          : numberText(info.bias) + " world units");
+    rows.row("translucent", info.translucent == Translucent::media
+                                ? "media: met at exact crossings, no bias"
+                                : "sheets: met within the bias, once");
     if (info.metresPerUnit > 0)
         rows.row("world unit", numberText(info.metresPerUnit) + " m");
     if (info.castersClipped) rows.row("window", "some casters reach out of it");
