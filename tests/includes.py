@@ -34,6 +34,7 @@ HEAVY = {
     "xxhash": {"base"},
     "CLI": set(),
     "nlohmann": set(),
+    "toml++": set(),
 }
 
 
