@@ -304,16 +304,16 @@ TEST_CASE("casters are visited as often as the options leave open", "[bake]") {
     Casters casters({octagon(2)});
     BakeOptions o = lamp(LightShape::disk, {0, 4, 0}, 0.3);
     mustBake(casters, o);
-    CHECK(casters.visits == 4);  // bounds, push-back, window, raster
+    CHECK(casters.visits == 5);  // bounds, push-back, window, kinds, raster
     casters.visits = 0;
     o.fov = 1.0;
     mustBake(casters, o);
-    CHECK(casters.visits == 1);
+    CHECK(casters.visits == 2);
     casters.visits = 0;
     o.fov.reset();
     o.light.radius = 0;
     mustBake(casters, o);
-    CHECK(casters.visits == 3);
+    CHECK(casters.visits == 4);
 }
 
 TEST_CASE("a scene 1e7 from the world's origin bakes as at the origin", "[bake]") {
