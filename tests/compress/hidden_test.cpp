@@ -278,21 +278,21 @@ TEST_CASE("what can be seen past an edge, through a hole or a step stays",
 
 TEST_CASE("rays along a wall that comes nearer are followed to its end",
           "[compress][hidden][exact]") {
-    // From (64.5, 20 deep) to the light's rim a ray is 10 pixels aside at the depth of
+    // From (65.5, 20 deep) to the light's rim a ray is 10 pixels aside at the depth of
     // the wall in its own pixel, but that is nearer there, by 0.15 a pixel: it meets the
     // ray 17 pixels aside, unless it ends before.
     const auto layersIfWallEndsAt = [](std::uint32_t end) {
         const Scene s =
             scene(LightShape::disk, 3.0, 1.0, [&](std::uint32_t x, std::uint32_t) {
                 std::vector<TestLayer> layers;
-                const double front = 10.0 - 0.15 * (x > 64 ? x - 64.0 : 0.0);
+                const double front = 10.0 - 0.15 * (x > 65 ? x - 65.0 : 0.0);
                 if (x < end) layers.push_back({float(std::max(front, 7.0)), 0.0f, 1});
                 layers.push_back({20.0f, 0.0f, 1});
                 return layers;
             });
-        return withoutHidden(s.map()).map.pixel(0, 64, 64).count;
+        return withoutHidden(s.map()).map.pixel(0, 65, 64).count;
     };
-    CHECK(layersIfWallEndsAt(79) == 2);
+    CHECK(layersIfWallEndsAt(81) == 2);
     CHECK(layersIfWallEndsAt(100) == 1);
 }
 
