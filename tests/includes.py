@@ -26,6 +26,7 @@ MAY_INCLUDE = {
 HEAVY = {
     "assimp": {"scene"},
     "openvdb": {"scene"},
+    "OpenImageIO": {"scene"},
     "Imf": {"io"},
     "OpenEXR": {"io"},
     "Imath": {"io"},
