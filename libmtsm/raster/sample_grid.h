@@ -1,10 +1,10 @@
 // sample_grid.h - all samples of the pixels of a raster, in whatever order they come, for
 // maps whose casters let light through.
 //
-//     SampleGrid grid(width, height, channels, subsamples, firstTileRow, limitBytes);
-//     if (grid.wants(ty)) grid.tile(tx, ty).add(pixel, z, &opacity); // one thread a tile
+//     SampleGrid grid({width, height}, firstTileRow, endTileRow, limitBytes);
+//     if (grid.wants(ty)) grid.tile(tx, ty).add(pixel, z, &opacity);  // a thread a tile
 //     grid.settle();               // between batches, from one thread
-//     grid.tile(tx, ty).sorted(...)
+//     grid.tile(tx, ty).sorted(begin, samples);
 //
 // Memory is bounded by giving up rows of tiles: when the samples of all rows do not fit,
 // the lower half of the rows is dropped, and the caller visits its casters again for
@@ -13,6 +13,7 @@
 #pragma once
 #include <algorithm>
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <vector>
@@ -21,12 +22,21 @@
 
 namespace mtsm::raster {
 
+/// Depths this far apart may be one surface, as the rays of one pixel meet it: base +
+/// perDepth * z, world units.
+struct MergeDepth {
+    double base = 0.0, perDepth = 0.0;
+};
+
 /// What all tiles of a grid share.
-struct SampleMemory {
-    std::uint64_t limit = 0;
+struct SampleShared {
+    std::uint32_t channels = 1, subsamples = 1;
+    MergeDepth merge;
+    std::uint64_t limit = 0;  ///< bytes
     std::atomic<std::uint64_t> used{0};
     std::atomic<std::uint32_t> endRow{0};  ///< tile rows from here on are given up
-    std::atomic<bool> overrun{false};      ///< even that was not enough: start again
+    std::uint32_t firstRow = 0, settledRow = 0;
+    std::atomic<bool> overrun{false};  ///< even that was not enough: start again
 };
 
 class SampleTile {
@@ -34,14 +44,9 @@ class SampleTile {
     /// A sample of the whole pixel, not of one of its subsamples.
     static constexpr std::uint8_t kWholePixel = 0xff;
 
-    SampleTile(std::uint32_t width, std::uint32_t height, std::uint32_t channels,
-               std::uint32_t subsamples, std::uint32_t row, SampleMemory& memory) noexcept
-        : memory_(&memory),
-          row_(row),
-          width_(width),
-          pixels_(width * height),
-          channels_(channels),
-          subsamples_(subsamples) {}
+    SampleTile(std::uint32_t width, std::uint32_t height, std::uint32_t row,
+               SampleShared& shared) noexcept
+        : shared_(&shared), row_(row), width_(width), pixels_(width * height) {}
 
     /// Adds a sample to `pixel` (row-major in the tile): z finite and positive,
     /// opacity [channels], each in [0, 1] and one of them > 0. `subsample` is the
@@ -49,42 +54,55 @@ class SampleTile {
     /// that says how much of the whole pixel it stops (strands, volumes).
     void add(std::uint32_t pixel, float z, const float* opacity,
              std::uint8_t subsample = kWholePixel) {
-        if (used_ == capacity_ && !grow()) return;
-        Chunk& chunk = *chunks_.back();
-        const std::uint32_t i = used_++ - (capacity_ - kChunk);
+        const auto i = std::uint32_t(samples_ % kChunk);
+        if (i == 0 && !grow()) return;
+        const Chunk chunk(chunks_.back().get(), *shared_);
         chunk.pixel[i] = std::uint16_t(pixel);
-        chunk.subsample[i] = subsample;
         chunk.z[i] = z;
-        for (std::uint32_t c = 0; c < channels_; ++c)
-            chunk.opacity[c][i] = opacity[c];
+        for (std::uint32_t c = 0; c < shared_->channels; ++c)
+            chunk.opacity[c * kChunk + i] = opacity[c];
+        if (chunk.subsample) chunk.subsample[i] = subsample;
+        ++samples_;
     }
 
     [[nodiscard]] std::uint32_t width() const noexcept { return width_; }
     [[nodiscard]] std::uint32_t pixels() const noexcept { return pixels_; }
-    [[nodiscard]] std::uint64_t samples() const noexcept { return used_; }
-    [[nodiscard]] bool empty() const noexcept { return used_ == 0; }
+    [[nodiscard]] std::uint64_t samples() const noexcept { return samples_; }
+    [[nodiscard]] bool empty() const noexcept { return samples_ == 0; }
 
-    /// The samples of every pixel, nearest first, as they are before compression: ties
-    /// in depth by opacity; samples of subsamples made samples of the pixel. Takes memory
-    /// for a second copy of them. `begin` is [pixels + 1].
+    /// The samples of every pixel, nearest first (ties in depth: by opacity), as they are
+    /// before compression. What the subsamples of a pixel met becomes samples of the
+    /// pixel: of each surface that they share one, which stops as large a part of the
+    /// light as the subsamples that met it; two hits by the same subsample, or further
+    /// apart than the merge depth, are two surfaces. `begin` is [pixels + 1].
     void sorted(std::vector<std::uint32_t>& begin, SampleList& samples) const;
     /// Drops the samples.
     void clear() noexcept;
 
   private:
     static constexpr std::uint32_t kChunk = 512;  ///< samples
+    /// One chunk's arrays, all in one piece of memory.
     struct Chunk {
-        float z[kChunk];
-        float opacity[3][kChunk];  // of the channels there are; the rest is not touched
-        std::uint16_t pixel[kChunk];
-        std::uint8_t subsample[kChunk];
+        float* z;
+        float* opacity;           ///< [channels][kChunk]
+        std::uint16_t* pixel;     ///< [kChunk]
+        std::uint8_t* subsample;  ///< [kChunk]; null where a pixel has one centre ray
+
+        Chunk(std::byte* memory, const SampleShared& shared) noexcept
+            : z(reinterpret_cast<float*>(memory)),
+              opacity(z + kChunk),
+              pixel(reinterpret_cast<std::uint16_t*>(opacity + shared.channels * kChunk)),
+              subsample(shared.subsamples > 1
+                            ? reinterpret_cast<std::uint8_t*>(pixel + kChunk)
+                            : nullptr) {}
     };
+    [[nodiscard]] std::size_t chunkBytes() const noexcept;
     bool grow();
 
-    std::vector<std::unique_ptr<Chunk>> chunks_;
-    SampleMemory* memory_;
-    std::uint64_t used_ = 0, capacity_ = 0;
-    std::uint32_t row_, width_, pixels_, channels_, subsamples_;
+    std::vector<std::unique_ptr<std::byte[]>> chunks_;
+    SampleShared* shared_;
+    std::uint64_t samples_ = 0;
+    std::uint32_t row_, width_, pixels_;
 };
 
 class SampleGrid {
@@ -92,24 +110,30 @@ class SampleGrid {
     static constexpr std::uint32_t kTileShift = 6;
     static constexpr std::uint32_t kTileSize = 1u << kTileShift;
 
-    /// Width and height in pixels of the map, 1..kMaxResolution; channels 1 or 3;
-    /// subsamples per side, 1..8. Holds the tile rows from `firstRow` on.
-    SampleGrid(std::uint32_t width, std::uint32_t height, std::uint32_t channels,
-               std::uint32_t subsamples, std::uint32_t firstRow,
+    struct Shape {
+        std::uint32_t width = 0, height = 0;  ///< pixels, 1..kMaxResolution
+        std::uint32_t channels = 1;           ///< 1 or 3
+        std::uint32_t subsamples = 1;         ///< centre rays per side: 1, 2, 4 or 8
+        MergeDepth merge;
+    };
+    /// Holds tile rows [firstRow, endRow) in at most limitBytes.
+    SampleGrid(const Shape& shape, std::uint32_t firstRow, std::uint32_t endRow,
                std::uint64_t limitBytes);
 
     [[nodiscard]] std::uint32_t width() const noexcept { return width_; }
     [[nodiscard]] std::uint32_t height() const noexcept { return height_; }
-    [[nodiscard]] std::uint32_t channels() const noexcept { return channels_; }
+    [[nodiscard]] std::uint32_t channels() const noexcept { return shared_->channels; }
     /// Centre rays per side of a pixel.
-    [[nodiscard]] std::uint32_t subsamples() const noexcept { return subsamples_; }
+    [[nodiscard]] std::uint32_t subsamples() const noexcept {
+        return shared_->subsamples;
+    }
     [[nodiscard]] std::uint32_t tilesX() const noexcept { return tilesX_; }
     [[nodiscard]] std::uint32_t tilesY() const noexcept { return tilesY_; }
 
     /// Tile rows [firstRow, endRow) are held; endRow may fall while samples come in.
     [[nodiscard]] std::uint32_t firstRow() const noexcept { return firstRow_; }
     [[nodiscard]] std::uint32_t endRow() const noexcept {
-        return memory_->endRow.load(std::memory_order_relaxed);
+        return shared_->endRow.load(std::memory_order_relaxed);
     }
     [[nodiscard]] bool wants(std::uint32_t ty) const noexcept {
         return ty >= firstRow_ && ty < endRow();
@@ -132,12 +156,12 @@ class SampleGrid {
     /// Memory ran out in spite of it: the samples are not complete, and what is held
     /// should be started again with fewer rows.
     [[nodiscard]] bool overrun() const noexcept {
-        return memory_->overrun.load(std::memory_order_relaxed);
+        return shared_->overrun.load(std::memory_order_relaxed);
     }
 
   private:
-    std::unique_ptr<SampleMemory> memory_;
-    std::uint32_t width_, height_, channels_, subsamples_, firstRow_, tilesX_, tilesY_;
+    std::unique_ptr<SampleShared> shared_;
+    std::uint32_t width_, height_, firstRow_, tilesX_, tilesY_;
     std::vector<SampleTile> tiles_;
 };
 
