@@ -55,7 +55,7 @@ struct EmbreeReference::Scene {
     RTCScene scene = nullptr;
     std::vector<std::unique_ptr<TranslucentMesh>> meshes;
     std::vector<std::unique_ptr<RibbonStrands>> strands;
-    std::vector<bool> isStrands;  // [geometries]
+    std::vector<bool> isStrands;       // [geometries]
     std::vector<VolumeDepth> volumes;
     glm::dvec3 origin{0.0};  // what Embree's floats are relative to: a caster's vertex
     bool hasOrigin = false;
@@ -221,11 +221,8 @@ glm::vec3 EmbreeReference::Scene::visibility(glm::dvec3 from, glm::dvec3 delta,
     rtcOccluded1(scene, &context, &ray);
     if (ray.tfar < 0.0f) return glm::vec3(0.0f);
     double depth = 0.0;
-    const double enough = -std::log(double(kDark));
-    for (const VolumeDepth& volume : volumes) {
-        depth += volume.along(from, delta, endless, enough - depth);
-        if (depth >= enough) return glm::vec3(0.0f);
-    }
+    for (const VolumeDepth& volume : volumes)
+        depth += volume.along(from, delta, endless);
     return context.visible * float(std::exp(-depth));
 }
 

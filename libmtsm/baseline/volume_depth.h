@@ -1,39 +1,31 @@
-// volume_depth.h - the optical depth of a volume along a line, exactly: density times
-// length, summed over the voxels that the line crosses.
+// volume_depth.h - the optical depth of a volume along a ray, from a copy of the volume.
 #pragma once
-#include <cstddef>
 #include <cstdint>
-#include <glm/mat4x4.hpp>
 #include <glm/vec3.hpp>
-#include <unordered_map>
+#include <optional>
 #include <vector>
 
 #include "mtsm/scene.h"
+#include "raster/volume_walk.h"
 
 namespace mtsm::baseline {
 
 class VolumeDepth {
   public:
-    /// Copies the densities.
     explicit VolumeDepth(const VolumeView& volume);
+    VolumeDepth(VolumeDepth&&) noexcept = default;  // arrays stay where they are
 
-    /// From `from` along `delta`, world: to its end, or on for ever if `endless`. Stops
-    /// counting beyond `enough`.
-    [[nodiscard]] double along(glm::dvec3 from, glm::dvec3 delta, bool endless,
-                               double enough) const noexcept;
-
-    /// [blocks + density] bytes.
+    /// From `from` along `delta`, world: to its end, or on for ever if `endless`.
+    [[nodiscard]] double along(glm::dvec3 from, glm::dvec3 delta,
+                               bool endless) const noexcept;
+    /// Of the copy, without the tree over its blocks.
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
 
   private:
-    struct BlockHash {
-        std::size_t operator()(glm::ivec3 block) const noexcept;
-    };
-    std::unordered_map<glm::ivec3, std::uint32_t, BlockHash> blocks_;  // in blocks
+    std::vector<glm::ivec3> blocks_;
     std::vector<float> density_;
-    glm::dmat4 gridFromWorld_{1.0};  // voxel (i, j, k) covers [i, i + 1) and so on
-    glm::ivec3 lowBlock_{0}, highBlock_{0};  // in blocks
-    double extinction_ = 0.0;
+    raster::VolumeIndex index_;               // over the copy
+    std::optional<raster::CellsFrom> cells_;  // nothing: a flat volume
 };
 
 }  // namespace mtsm::baseline
