@@ -55,7 +55,7 @@ struct EmbreeReference::Scene {
     RTCScene scene = nullptr;
     std::vector<std::unique_ptr<TranslucentMesh>> meshes;
     std::vector<std::unique_ptr<RibbonStrands>> strands;
-    std::vector<bool> isStrands;       // [geometries]
+    std::vector<bool> isStrands;  // [geometries]
     std::vector<VolumeDepth> volumes;
     glm::dvec3 origin{0.0};  // what Embree's floats are relative to: a caster's vertex
     bool hasOrigin = false;
@@ -206,7 +206,7 @@ glm::vec3 EmbreeReference::Scene::visibility(glm::dvec3 from, glm::dvec3 delta,
     rtcInitIntersectContext(&context);
     context.color = color;
     const double length = glm::length(delta);
-    if (!(length > 0.0)) return glm::vec3(1.0f);
+    if (!(length > 0.0) || !base::isFinite(from)) return glm::vec3(1.0f);
     const glm::dvec3 o = from - origin;
     RTCRay ray{};
     ray.org_x = float(o.x);

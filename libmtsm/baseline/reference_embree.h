@@ -64,7 +64,8 @@ class EmbreeReference {
                        const glm::dvec3* normals, std::size_t count, glm::vec3* out,
                        const ReferenceOptions& options = {}) const noexcept;
     /// What is left, per channel, of light that goes along `delta`, or on for ever in its
-    /// direction if `endless`. Without `color` all three are as in shadowFactors.
+    /// direction if `endless`. Without `color` all three are as in shadowFactors. A ray
+    /// of no length, or one that is not finite, is clear.
     [[nodiscard]] glm::vec3 visibility(glm::dvec3 from, glm::dvec3 delta,
                                        bool endless = false,
                                        bool color = false) const noexcept;

@@ -15,6 +15,7 @@
 #include <fstream>
 #include <glm/geometric.hpp>
 #include <map>
+#include <optional>
 
 #include "accuracy/errors.h"
 #include "accuracy/receivers.h"
@@ -69,8 +70,9 @@ struct Probe {
 /// Errors by point and, where there are pixels, by pixel.
 struct Row {
     std::string method;
-    Errors point, pixel;
-    double microseconds = 0.0;  // per point
+    Errors point;
+    std::optional<Errors> pixel;
+    double microseconds = 0.0;  // per point, all threads at work
 };
 
 /// Rows by set of points, so that methods stand below each other.
@@ -80,12 +82,12 @@ class Table {
 
     void add(const std::string& method, const Probe& probe, const std::string& set,
              const std::vector<float>& found, double time) {
-        Row row{method, bench::compare(found, probe.truth), {}, 0.0};
+        Row row{method, bench::compare(found, probe.truth), std::nullopt,
+                1e6 * time / double(found.size())};
         const auto& first = probe.at->first;
         if (!first.empty())
             row.pixel = bench::compare(bench::means(found, first),
                                        bench::means(probe.truth, first));
-        row.microseconds = 1e6 * time / double(found.size());
         if (!rows_.count(set)) sets_.push_back(set);
         rows_[set].push_back(row);
     }
@@ -103,11 +105,12 @@ class Table {
 
   private:
     static void printRow(const std::string& set, const Row& row) {
-        const Errors &e = row.point, &p = row.pixel;
+        const Errors& e = row.point;
         std::printf("%-20s %-30s | %8.5f %8.5f %+8.5f %8.5f %9.5f | ", set.c_str(),
                     row.method.c_str(), e.mean, e.deviation, e.bias, e.p99, e.inShadow);
-        if (p.mean > 0.0)
-            std::printf("%8.5f %8.5f %+8.5f %8.5f", p.mean, p.deviation, p.bias, p.p99);
+        if (row.pixel)
+            std::printf("%8.5f %8.5f %+8.5f %8.5f", row.pixel->mean, row.pixel->deviation,
+                        row.pixel->bias, row.pixel->p99);
         else
             std::printf("%35s", "");
         std::printf(" | %8.2f\n", row.microseconds);
@@ -119,8 +122,8 @@ class Table {
         for (std::size_t i = 0; i < object->second.size(); ++i)
             std::printf("%-20s %-30s | %46s | %8.5f\n", "whole image",
                         object->second[i].method.c_str(), "",
-                        objectShare_ * object->second[i].pixel.mean +
-                            (1 - objectShare_) * floor->second[i].pixel.mean);
+                        objectShare_ * object->second[i].pixel->mean +
+                            (1 - objectShare_) * floor->second[i].pixel->mean);
     }
 
     double objectShare_;
