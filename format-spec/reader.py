@@ -448,7 +448,7 @@ class File:
     # S 5.1
     def read_head(self, c):
         depth, rule, shape = c.fields("III")
-        if depth != 0 or rule != 0:
+        if depth != 0 or rule not in (0, 1):
             raise Unsupported("depth meaning %d, visibility rule %d" % (depth, rule))
         bias_per_depth = c.fields("f")
         light = dict(shape=shape, position=c.fields("3d"), direction=c.fields("3d"),

@@ -11,6 +11,7 @@ import sys
 MAY_INCLUDE = {
     "base": set(),
     "map": {"base"},
+    "compress": {"base", "map"},
     "light": {"base"},
     "scene": {"base"},
     "raster": {"base", "map", "scene"},
@@ -33,6 +34,7 @@ HEAVY = {
     "xxhash": {"base"},
     "CLI": set(),
     "nlohmann": set(),
+    "toml++": set(),
 }
 
 

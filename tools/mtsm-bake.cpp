@@ -1,14 +1,20 @@
 // mtsm-bake - casters and a light in, a map file out.
+#include <algorithm>
+#include <charconv>
 #include <chrono>
+#include <cmath>
 #include <filesystem>
 #include <glm/geometric.hpp>
+#include <glm/matrix.hpp>
 #include <glm/trigonometric.hpp>
+#include <initializer_list>
 
 #include "common/arguments.h"
+#include "common/job.h"
 #include "common/light_options.h"
 #include "common/tool.h"
 #include "mtsm/bake.h"
-#include "mtsm/scene.h"
+#include "mtsm/caster_files.h"
 #include "mtsm/writer.h"
 
 namespace {
@@ -17,11 +23,15 @@ using namespace mtsm;
 using namespace mtsm::tools;
 
 constexpr const char* kAbout =
-    "Bakes what a light sees of some meshes into a multilayer transparent shadow map.\n"
-    "Lengths are in the units of the meshes, angles in degrees. Every mesh that a file\n"
-    "holds casts; floors that only receive are best left out (--exclude), because the "
-    "map\n"
-    "then spends its pixels on what casts.";
+    "Bakes what a light sees of some casters into a multilayer transparent shadow map.\n"
+    "Casters are meshes (their alpha textures count), hair and fog volumes. Lengths are "
+    "in\n"
+    "the units of the scene, angles in degrees. Every mesh that a file holds casts; "
+    "floors\n"
+    "that only receive are best left out (--exclude), because the map then spends its "
+    "pixels\n"
+    "on what casts. What lets light through is kept as layers of visibility, simplified\n"
+    "within --tolerance.";
 
 constexpr const char* kExamples =
     "Examples:\n"
@@ -32,7 +42,41 @@ constexpr const char* kExamples =
     "              --light-direction -1,-3,-1 --resolution 4096 -o sun.mtsm\n"
     "  a light of the scene file, made larger than it is there:\n"
     "    mtsm-bake shot.glb --light-name Key --light-shape rect \\\n"
-    "              --light-size 0.6,0.4 -o key.mtsm\n";
+    "              --light-size 0.6,0.4 -o key.mtsm\n"
+    "  fur on a head, each strand 0.002 wide at the root and stopping 40 % of the "
+    "light:\n"
+    "    mtsm-bake head.obj fur.hair --hair-width 0.002 --hair-tip-width 0 \\\n"
+    "              --hair-opacity 0.4 --light-radius 0.3 --light-position 2,5,3 -o "
+    "fur.mtsm\n"
+    "  foliage, leaves cut out by their textures, 2 x 2 centre rays per pixel:\n"
+    "    mtsm-bake tree.glb --subsamples 2 --light-angle 0.53 \\\n"
+    "              --light-direction -1,-3,-1 -o tree.mtsm\n"
+    "  smoke, thinner than it is in the file, at a coarser tolerance:\n"
+    "    mtsm-bake smoke.vdb --density-scale 0.2 --tolerance 0.01 \\\n"
+    "              --light-radius 0.3 --light-position 2,5,3 -o smoke.mtsm\n"
+    "  a bulb in the middle of a room, six faces of 512 x 512 pixels:\n"
+    "    mtsm-bake room.glb --projection cube --light-shape sphere --light-radius 0.05 "
+    "\\\n"
+    "              --light-position 0,2,0 --resolution 512 -o bulb.mtsm\n"
+    "  a job file with settings for each caster, one of its settings overruled:\n"
+    "    mtsm-bake shot.toml --resolution 512 -o preview.mtsm\n"
+    "\nA job file is TOML. Keys are the options' names, in [light] without their light-; "
+    "the\n"
+    "command line wins; paths are relative to the job file:\n"
+    "    output = \"shot.mtsm\"\n"
+    "    [light]\n"
+    "    radius = 0.3\n"
+    "    position = [2, 5, 3]\n"
+    "    [map]\n"
+    "    resolution = 2048\n"
+    "    [[caster]]\n"
+    "    file = \"head.obj\"\n"
+    "    [[caster]]\n"
+    "    file = \"fur.hair\"\n"
+    "    hair-width = 0.002\n"
+    "    translate = [0, 1, 0]      # or transform: 16 numbers; rotate: degrees; scale\n";
+
+constexpr const char* kJobExtension = ".toml";
 
 struct Arguments {
     std::vector<std::string> inputs;
@@ -41,30 +85,39 @@ struct Arguments {
     std::string lightName;
     std::optional<double> fovDegrees, near, far;
     std::string resolution = "1024";
-    std::int64_t layers = 5;
-    std::optional<double> bias, opacity;
-    std::optional<std::size_t> cull, codec;
+    std::int64_t layers = 0, subsamples = 1;  // layers 0: not given
+    std::string resets = "all";
+    std::optional<double> bias, tolerance, opacity;
+    std::optional<double> hairWidth, hairTipWidth, hairOpacity, hairScale, densityScale;
+    std::string densityGrid;
+    std::optional<std::size_t> projection, cull, codec;
     std::vector<std::string> include, exclude;
     std::int64_t level = 3, threads = 0;
-    std::string maxMemory = "8G";
-    bool quiet = false, json = false;
+    std::string maxMemory;
+    bool color = false, keepHidden = false, quiet = false, json = false;
 };
 
-void addOptions(CLI::App& app, Arguments& a) {
+enum Projections : std::size_t { kFit = 0, kCube = 1 };
+
+void addFileOptions(CLI::App& app, Arguments& a) {
+    const std::string group = "Files";
     app.add_option("INPUT", a.inputs,
-                   "mesh files: PLY, OBJ, glTF, GLB, FBX, COLLADA, STL")
+                   "casters: meshes (PLY, OBJ, glTF, GLB, FBX, COLLADA,\n"
+                   "STL), hair (.hair, .tfx, lines of an OBJ), volumes\n"
+                   "(.vdb); or one job file (.toml)")
         ->required()
         ->type_name("FILE")
-        ->group("Files");
-    addText(app, "-o,--output", a.output, "OUT.mtsm", "the map file to write")
-        ->required()
-        ->group("Files");
+        ->group(group);
+    addText(app, "-o,--output", a.output, "OUT.mtsm", "the map file to write; needed")
+        ->group(group);
     addChoice(app, "--codec", a.codec, {"zstd", "none"},
               "how planes are stored (default: zstd)")
-        ->group("Files");
+        ->group(group);
     addWhole(app, "--level", a.level, 1, 19, "zstd: effort, 1 to 19 (default: 3)")
-        ->group("Files");
+        ->group(group);
+}
 
+void addLightOptions(CLI::App& app, Arguments& a) {
     addLightSizeOptions(
         app, a.light, "Light",
         "what the size given belongs\nto: radius disk, size rect, angle sun; else point");
@@ -73,45 +126,82 @@ void addOptions(CLI::App& app, Arguments& a) {
             "take the light of this name from the inputs; the\n"
             "other options then change single properties of it")
         ->group("Light");
+}
 
+void addViewOptions(CLI::App& app, Arguments& a) {
+    const std::string group = "View";
+    addChoice(app, "--projection", a.projection, {"fit", "cube"},
+              "one window that fits the casters, or six views of\n"
+              "90 degrees from the light to all sides, for lights\n"
+              "among their casters (default: fit)")
+        ->group(group);
     addNumber(app, "--fov", a.fovDegrees, {0.0, 180.0, true}, "DEG",
               "full field of view of a square window (default:\n"
               "the window that fits the casters); not for a sun")
-        ->group("View");
+        ->group(group);
     addNumber(app, "--near", a.near, {0.0, kAny}, "Z",
               "keep nothing nearer to the light than this")
-        ->group("View");
+        ->group(group);
     addNumber(app, "--far", a.far, {0.0, kAny}, "Z",
               "keep nothing farther from the light than this")
-        ->group("View");
+        ->group(group);
     addText(app, "--resolution", a.resolution, "N|WxH",
-            "pixels of the map, 1 to 32768 a side (default:\n"
-            "1024)")
-        ->group("View");
-    addWhole(app, "--layers", a.layers, 1, 64,
-             "nearest samples kept per pixel, 1 to 64 (default:\n"
-             "5)")
-        ->group("View");
+            "pixels of the map (cube: of a face), 1 to 32768 a\n"
+            "side (default: 1024)")
+        ->group(group);
+    addWhole(app, "--subsamples", a.subsamples, 1, 8,
+             "centre rays per side of a pixel, 1 to 8: 2 makes 4\n"
+             "rays; for meshes finer than a pixel (default: 1)")
+        ->group(group);
     addNumber(app, "--bias", a.bias, {0.0, kAny}, "Z",
               "depth within which a layer is met, world units,\n"
               "stored in the map (default: the size of a pixel at\n"
               "the layer)")
-        ->group("View");
-
-    addNumber(app, "--opacity", a.opacity, {0.0, 1.0}, "A",
-              "opacity of all casters, 0 to 1 (default: their\n"
-              "materials')")
-        ->group("Casters");
+        ->group(group);
     addChoice(app, "--cull", a.cull, {"none", "back", "front"},
               "leave out faces turned away from (back) or to\n"
               "(front) the light (default: none)")
-        ->group("Casters");
+        ->group(group);
+}
+
+void addLayerOptions(CLI::App& app, Arguments& a) {
+    const std::string group = "Layers";
+    addWhole(app, "--layers", a.layers, 1, kMaxPixelLayers,
+             "most layers of a pixel; of opaque casters the\n"
+             "nearest are kept, others are merged (default: 5 if\n"
+             "all casters are opaque, else no limit)")
+        ->group(group);
+    addNumber(app, "--tolerance", a.tolerance, {0.0, 1.0}, "V",
+              "error of visibility along a pixel's centre ray that\n"
+              "merging samples may bring, 0 to 1; 0 keeps every\n"
+              "sample (default: 0.005)")
+        ->group(group);
+    addText(app, "--resets", a.resets, "N|all",
+            "times that visibility starts again at 1 behind what\n"
+            "is opaque; what lies behind the last is dropped\n"
+            "(default: all)")
+        ->group(group);
+    app.add_flag("--color", a.color,
+                 "keep visibility of red, green and blue apart, for\n"
+                 "casters that tint the light (default: one grey)")
+        ->group(group);
+    app.add_flag("--keep-hidden", a.keepHidden,
+                 "keep layers that no point of the light can see")
+        ->group(group);
+}
+
+void addCasterOptions(CLI::App& app, Arguments& a) {
+    const std::string meshes = "Meshes", hair = "Hair", volumes = "Volumes";
+    addNumber(app, "--opacity", a.opacity, {0.0, 1.0}, "A",
+              "opacity of all meshes, 0 to 1 (default: their\n"
+              "materials' and textures')")
+        ->group(meshes);
     const auto addGlobs = [&](const char* name, std::vector<std::string>& globs,
                               const char* help) {
         app.add_option(name, globs, help)
             ->type_name("GLOB")
             ->allow_extra_args(false)
-            ->group("Casters");
+            ->group(meshes);
     };
     addGlobs("--include", a.include,
              "only meshes whose node, mesh or material name\n"
@@ -119,40 +209,177 @@ void addOptions(CLI::App& app, Arguments& a) {
              "repeated");
     addGlobs("--exclude", a.exclude, "all but meshes that match; may be repeated");
 
+    addNumber(app, "--hair-width", a.hairWidth, {0.0, kAny}, "W",
+              "full width of all strands at the root, units of the\n"
+              "file (default: the file's)")
+        ->group(hair);
+    addNumber(app, "--hair-tip-width", a.hairTipWidth, {0.0, kAny}, "W",
+              "at the tip (default: the file's, or --hair-width)")
+        ->group(hair);
+    addNumber(app, "--hair-opacity", a.hairOpacity, {0.0, 1.0}, "A",
+              "part of the light that crosses a strand and is\n"
+              "stopped, 0 to 1 (default: the file's)")
+        ->group(hair);
+    addNumber(app, "--hair-scale", a.hairScale, {0.0, kAny}, "F",
+              "multiplies all widths, above 0 (default: 1)")
+        ->group(hair);
+
+    addText(app, "--density-grid", a.densityGrid, "NAME",
+            "the grid of a .vdb that is the density (default:\n"
+            "\"density\", or the only fog volume)")
+        ->group(volumes);
+    addNumber(app, "--density-scale", a.densityScale, {0.0, kAny}, "F",
+              "extinction per unit of density and length: light\n"
+              "falls by exp(-F density length) (default: 1)")
+        ->group(volumes);
+}
+
+void addGeneralOptions(CLI::App& app, Arguments& a) {
+    const std::string group = "General";
     addWhole(app, "--threads", a.threads, 0, 1024,
              "0: as many as the machine has (default); the map\n"
              "is the same for any number")
-        ->group("General");
+        ->group(group);
     addText(app, "--max-memory", a.maxMemory, "BYTES",
-            "bound on depth buffer and map: 8G, 512M (default:\n"
-            "8G)")
-        ->group("General");
-    app.add_flag("--quiet", a.quiet, "say nothing but warnings and errors")
-        ->group("General");
+            "bound on samples and map: 8G, 512M; the bake goes in\n"
+            "bands to stay below (default: half of the machine's)")
+        ->group(group);
+    app.add_flag("--quiet", a.quiet, "say nothing but warnings and errors")->group(group);
     app.add_flag("--json", a.json, "print what was done to stdout as a JSON object")
-        ->group("General");
+        ->group(group);
 }
 
-/// The command line as the map remembers it: what decides its content, nothing else.
-std::string settingsText(const CLI::App& app) {
+void addOptions(CLI::App& app, Arguments& a) {
+    addFileOptions(app, a);
+    addLightOptions(app, a);
+    addViewOptions(app, a);
+    addLayerOptions(app, a);
+    addCasterOptions(app, a);
+    addGeneralOptions(app, a);
+}
+
+/// What is baked: the casters, and the job that lists them if there is one.
+struct Input {
+    std::optional<Job> job;
+    std::vector<CasterFile> casters;
+};
+
+/// Reads the job file, and lets it speak where the command line is silent.
+Input readInput(const Arguments& a, CLI::App& app) {
+    Input input;
+    const auto isJob = [](const std::string& path) {
+        return extension(path) == kJobExtension;
+    };
+    if (std::any_of(a.inputs.begin(), a.inputs.end(), isJob)) {
+        if (a.inputs.size() > 1)
+            throw UsageError("INPUT: a job file lists all casters; give it alone");
+        input.job = unwrap(readJob(a.inputs.front()));
+        applyJob(*input.job, app);
+        input.casters = input.job->casters;
+    } else {
+        for (const std::string& path : a.inputs) {
+            input.casters.emplace_back();
+            input.casters.back().path = path;
+        }
+    }
+    return input;
+}
+
+/// Caster options of the command line go to every caster that they are for.
+void applyCasterOptions(const Arguments& a, std::vector<CasterFile>& casters) {
+    const auto apply = [&](const char* option, bool given, CasterKind kind,
+                           const char* kindText, auto&& set) {
+        if (!given) return;
+        bool used = false;
+        for (CasterFile& caster : casters) {
+            if (!mayHold(caster.path, kind)) continue;
+            set(caster);
+            used = true;
+        }
+        if (!used)
+            throw UsageError(std::string(option) + ": none of the inputs is " + kindText);
+    };
+    const auto mesh = [&](const char* option, bool given, auto&& set) {
+        apply(option, given, CasterKind::mesh, "a mesh file", set);
+    };
+    mesh("--opacity", a.opacity.has_value(),
+         [&](CasterFile& c) { c.opacity = float(*a.opacity); });
+    mesh("--include", !a.include.empty(), [&](CasterFile& c) { c.include = a.include; });
+    mesh("--exclude", !a.exclude.empty(), [&](CasterFile& c) { c.exclude = a.exclude; });
+
+    const auto hair = [&](const char* option, std::optional<double> value, auto&& set) {
+        apply(option, value.has_value(), CasterKind::hair, "hair", set);
+    };
+    hair("--hair-width", a.hairWidth,
+         [&](CasterFile& c) { c.hairWidth = float(*a.hairWidth); });
+    hair("--hair-tip-width", a.hairTipWidth,
+         [&](CasterFile& c) { c.hairTipWidth = float(*a.hairTipWidth); });
+    hair("--hair-opacity", a.hairOpacity,
+         [&](CasterFile& c) { c.hairOpacity = float(*a.hairOpacity); });
+    hair("--hair-scale", a.hairScale,
+         [&](CasterFile& c) { c.hairScale = float(*a.hairScale); });
+
+    const auto volume = [&](const char* option, bool given, auto&& set) {
+        apply(option, given, CasterKind::volume, "a volume (.vdb)", set);
+    };
+    volume("--density-grid", !a.densityGrid.empty(),
+           [&](CasterFile& c) { c.densityGrid = a.densityGrid; });
+    volume("--density-scale", a.densityScale.has_value(),
+           [&](CasterFile& c) { c.densityScale = float(*a.densityScale); });
+    for (const CasterFile& caster : casters)
+        unwrap(checkCaster(caster));
+}
+
+/// The command line as the map remembers it: what decides its content, nothing else. Of a
+/// job the casters with their settings, and the options that it gave values.
+std::string settingsText(const CLI::App& app, const Input& input) {
+    const auto isOneOf = [](const std::string& name,
+                            std::initializer_list<const char*> names) {
+        return std::find(names.begin(), names.end(), name) != names.end();
+    };
     std::string text = "mtsm-bake";
+    for (const CasterFile& caster : input.casters)
+        if (input.job) text += " " + casterText(caster);
     for (const CLI::Option* option : app.get_options()) {
         const std::string name = option->get_name();
-        if (option->count() == 0 || name == "--output" || name == "--threads" ||
-            name == "--max-memory" || name == "--quiet" || name == "--json")
+        if (option->count() == 0 ||
+            isOneOf(name, {"--output", "--threads", "--max-memory", "--quiet", "--json"}))
             continue;
-        for (const std::string& value : option->results())
-            text += (option->get_positional() ? " " : " " + name + " ") + value;
+        const bool ofCasters =
+            option->get_positional() ||
+            isOneOf(option->get_group(), {"Meshes", "Hair", "Volumes"});
+        if (input.job && ofCasters) continue;
+        const bool flag = option->get_items_expected_max() == 0;
+        for (const std::string& value : option->results()) {
+            if (!option->get_positional()) text += " " + name;
+            if (!flag) text += " " + value;
+        }
     }
     return text;
 }
 
-/// The light called `name` in one of the inputs.
-FileLight findLight(const Arguments& a, const MeshFileOptions& files) {
+/// A light of a file that stands elsewhere in the world.
+FileLight moved(FileLight found, const glm::dmat4& transform) {
+    AreaLight& light = found.light;
+    const glm::dmat3 linear(transform);
+    const double grown = std::cbrt(std::abs(glm::determinant(linear)));
+    light.position = glm::dvec3(transform * glm::dvec4(light.position, 1.0));
+    light.direction = glm::normalize(linear * light.direction);
+    light.up = glm::normalize(linear * light.up);
+    light.radius *= grown;
+    light.size *= grown;
+    return found;
+}
+
+/// The light called --light-name in one of the inputs.
+FileLight findLight(const Arguments& a, const Input& input,
+                    const MeshFileOptions& options) {
     std::string names;
-    for (const std::string& input : a.inputs) {
-        for (FileLight& light : unwrap(readLights(input, files))) {
-            if (light.name == a.lightName) return std::move(light);
+    for (const CasterFile& caster : input.casters) {
+        if (casterKind(caster.path) != CasterKind::mesh) continue;
+        for (FileLight& light : unwrap(readLights(caster.path, options))) {
+            if (light.name == a.lightName)
+                return moved(std::move(light), caster.transform);
             names += (names.empty() ? "" : ", ") + light.name;
         }
     }
@@ -162,12 +389,13 @@ FileLight findLight(const Arguments& a, const MeshFileOptions& files) {
 }
 
 /// Fills everything of `bake` that has to do with the light.
-void chooseLight(const Arguments& a, const MeshFileOptions& files, Talk& talk,
-                 BakeOptions& bake) {
+void chooseLight(const Arguments& a, const Input& input, Talk& talk, BakeOptions& bake) {
     AreaLight& light = bake.light;
     const bool named = !a.lightName.empty();
     if (named) {
-        const FileLight found = findLight(a, files);
+        MeshFileOptions options;
+        options.warn = [&talk](const std::string& text) { talk.warn(text); };
+        const FileLight found = findLight(a, input, options);
         light = found.light;
         bake.aimed = found.fov || light.shape == LightShape::rect;
         bake.fov = found.fov;
@@ -210,40 +438,71 @@ void chooseLight(const Arguments& a, const MeshFileOptions& files, Talk& talk,
     if (a.light.up) bake.up = *a.light.up;
 }
 
-BakeOptions bakeOptions(const Arguments& a, const CLI::App& app,
-                        const MeshFileOptions& files, Talk& talk) {
+/// What has to do with six faces, or with one.
+void chooseProjection(const Arguments& a, BakeOptions& bake) {
+    bake.cube = a.projection.value_or(kFit) == kCube;
+    if (a.fovDegrees) {
+        if (*a.fovDegrees == 0.0) throw UsageError("--fov: must be more than 0 degrees");
+        if (bake.cube)
+            throw UsageError(
+                "--fov: the six views of --projection cube have 90 degrees each; leave "
+                "one of them out");
+        bake.fov = glm::radians(*a.fovDegrees);
+    }
+    if (!bake.cube) return;
+    if (bake.light.shape == LightShape::sun)
+        throw UsageError("--projection: a sun has no place among its casters; use fit");
+    if (bake.width != bake.height)
+        throw UsageError("--resolution: found \"" + a.resolution +
+                         "\", but the faces of --projection cube are square");
+}
+
+std::uint32_t parseResets(const std::string& text) {
+    if (text == "all") return kAllResets;
+    std::uint32_t resets = 0;
+    const char* const end = text.data() + text.size();
+    const auto parsed = std::from_chars(text.data(), end, resets);
+    if (parsed.ec != std::errc() || parsed.ptr != end || resets == kAllResets)
+        throw UsageError("--resets: found \"" + text +
+                         "\", expected a whole number of at least 0, or all");
+    return resets;
+}
+
+BakeOptions bakeOptions(const Arguments& a, const CLI::App& app, const Input& input,
+                        Talk& talk) {
     BakeOptions bake;
     const glm::uvec2 size = parseResolution("--resolution", a.resolution, kMaxResolution);
-    bake.maxBytes = parseBytes("--max-memory", a.maxMemory);
+    bake.maxBytes =
+        a.maxMemory.empty() ? halfOfMemory() : parseBytes("--max-memory", a.maxMemory);
     if (a.near && a.far && !(*a.near < *a.far))
         throw UsageError("--near and --far: found " + numberText(*a.near) + " and " +
                          numberText(*a.far) + ", near must be less than far");
     if (app.count("--level") && a.codec.value_or(0) != 0)
         throw UsageError("--level: is for --codec zstd only");
-    chooseLight(a, files, talk, bake);
-    if (a.fovDegrees) {
-        if (*a.fovDegrees == 0.0) throw UsageError("--fov: must be more than 0 degrees");
-        bake.fov = glm::radians(*a.fovDegrees);
-    }
-    bake.near = a.near;
-    bake.far = a.far;
+    bake.resets = parseResets(a.resets);
     bake.width = size.x;
     bake.height = size.y;
-    bake.layers = std::uint32_t(a.layers);
+    chooseLight(a, input, talk, bake);
+    chooseProjection(a, bake);
+    bake.near = a.near;
+    bake.far = a.far;
+    if (a.layers) bake.layers = std::uint32_t(a.layers);
+    if (a.tolerance) bake.tolerance = float(*a.tolerance);
+    bake.subsamples = std::uint32_t(a.subsamples);
+    bake.color = a.color;
+    bake.keepHidden = a.keepHidden;
     if (a.bias) bake.bias = float(*a.bias);
     bake.cull = static_cast<Cull>(a.cull.value_or(0));
-    bake.settings = settingsText(app);
+    bake.settings = settingsText(app, input);
     bake.progress = [&talk](const char* stage, double fraction) {
         return talk.progress(stage, fraction);
     };
     return bake;
 }
 
-MeshFileOptions meshOptions(const Arguments& a, Talk& talk) {
-    MeshFileOptions files;
-    files.include = a.include;
-    files.exclude = a.exclude;
-    if (a.opacity) files.opacity = float(*a.opacity);
+CasterFilesOptions filesOptions(const Arguments& a, Talk& talk) {
+    CasterFilesOptions files;
+    files.color = a.color;
     files.warn = [&talk](const std::string& text) { talk.warn(text); };
     files.progress = [&talk](const std::string& path) {
         return talk.progress("reading " + path, -1.0);
@@ -255,40 +514,85 @@ struct Timing {
     double write = 0, total = 0;
 };
 
-void say(Talk& talk, const Baked& baked, const Arguments& a, std::uint64_t fileBytes,
-         Timing timing) {
-    const BakeReport& r = baked.report;
-    const MapInfo& info = baked.map.info();
-    talk.say("light: " + lightText(info.light));
-    talk.say("read " + countText(r.meshes) + (r.meshes == 1 ? " mesh, " : " meshes, ") +
-             countText(r.triangles) + " triangles in " + secondsText(r.readSeconds));
-    const std::pair<std::uint64_t, const char*> odd[] = {
-        {r.degenerate, "degenerate"},
-        {r.nonFinite, "not finite"},
-        {r.culled, "culled"},
-        {r.transparent, "wholly transparent"},
-        {r.outside, "outside window, near and far"},
-        {r.clipped, "reaching out of the window"}};
+/// "1 mesh", "2 meshes"
+std::string counted(std::uint64_t count, const char* one, const char* many) {
+    return countText(count) + " " + (count == 1 ? one : many);
+}
+
+/// Those of the counts that are not zero, with commas between.
+std::string listOf(std::initializer_list<std::pair<std::uint64_t, const char*>> counts) {
     std::string list;
-    for (const auto& [count, what] : odd) {
+    for (const auto& [count, what] : counts)
         if (count) list += (list.empty() ? "" : ", ") + countText(count) + " " + what;
-    }
-    if (!list.empty()) talk.say("of these triangles: " + list);
-    if (2 * r.outside > r.triangles)
+    return list;
+}
+
+void sayWhatWasRead(Talk& talk, const BakeReport& r) {
+    std::string read;
+    const auto add = [&](bool some, const std::string& text) {
+        if (some) read += (read.empty() ? "" : "; ") + text;
+    };
+    add(r.meshes > 0, counted(r.meshes, "mesh", "meshes") + ", " +
+                          counted(r.triangles, "triangle", "triangles"));
+    add(r.strands > 0, counted(r.strands, "strand", "strands") + ", " +
+                           counted(r.segments, "segment", "segments"));
+    add(r.volumes > 0, counted(r.volumes, "volume", "volumes") + ", " +
+                           counted(r.voxels, "voxel", "voxels"));
+    talk.say("read " + read + " in " + secondsText(r.readSeconds));
+    const std::string odd = listOf({{r.degenerate, "degenerate"},
+                                    {r.nonFinite, "not finite"},
+                                    {r.culled, "culled"},
+                                    {r.transparent, "wholly transparent"},
+                                    {r.outside, "outside window, near and far"},
+                                    {r.clipped, "reaching out of the window"}});
+    if (!odd.empty()) talk.say("of these: " + odd);
+    if (2 * r.outside > r.triangles + r.segments)
         talk.warn(
             "most triangles lie outside window, near and far and cast nothing: check "
             "--fov, --near, --far and where the light looks");
+}
+
+/// The settings that lost or saved layers, and what.
+void sayWhatWasKept(Talk& talk, const Baked& baked) {
+    const BakeReport& r = baked.report;
+    const MapInfo& info = baked.map.info();
+    const std::string size =
+        std::to_string(info.width) + " x " + std::to_string(info.height) +
+        (baked.map.faceCount() > 1
+             ? " on " + std::to_string(baked.map.faceCount()) + " faces"
+             : "");
+    talk.say("rasterised " + size + ": " + countText(info.samples) + " samples in " +
+             counted(r.passes, "pass", "passes") + ", in " +
+             secondsText(r.rasterSeconds));
+    const std::string cap =
+        "samples behind the nearest " + std::to_string(info.maxLayers);
+    const std::string dropped =
+        listOf({{r.droppedByLayers, cap.c_str()},
+                {r.droppedByResets, "samples behind the last reset"},
+                {r.droppedHidden, "layers that no point of the light sees"}});
+    talk.say("kept " + countText(baked.map.layerCount()) + " layers; dropped " +
+             (dropped.empty() ? "nothing" : dropped) + "; tolerance " +
+             numberText(double(info.toleranceAsked)) + ", reached " +
+             numberText(double(info.toleranceReached)) + ", in " +
+             secondsText(r.compressSeconds));
+    if (r.pixelsOverTolerance)
+        talk.warn("in " + counted(r.pixelsOverTolerance, "pixel", "pixels") +
+                  " the limit of " + std::to_string(info.maxLayers) +
+                  " layers took more than the tolerance allows: raise --layers");
     if (baked.map.layerCount() == 0)
         talk.warn(
-            "the map is empty: no triangle covers the centre of a pixel as the light "
+            "the map is empty: nothing that casts covers a pixel's centre as the light "
             "sees it");
-    talk.say("rasterised " + std::to_string(info.width) + " x " +
-             std::to_string(info.height) + ": " + countText(info.samples) + " samples, " +
-             countText(info.samplesDropped) + " dropped behind the nearest " +
-             std::to_string(info.maxLayers) + ", in " + secondsText(r.rasterSeconds));
-    talk.say("wrote " + a.output + ": " + countText(baked.map.layerCount()) +
-             " layers, " + bytesText(fileBytes) + " in " + secondsText(timing.write) +
-             " (" + secondsText(timing.total) + " in all)");
+}
+
+void say(Talk& talk, const Baked& baked, const Arguments& a, std::uint64_t fileBytes,
+         Timing timing) {
+    talk.say("light: " + lightText(baked.map.info().light));
+    sayWhatWasRead(talk, baked.report);
+    sayWhatWasKept(talk, baked);
+    talk.say("wrote " + a.output + ": " + bytesText(fileBytes) + " in " +
+             secondsText(timing.write) + " (" + secondsText(timing.total) +
+             " in all, at most " + bytesText(peakMemory()) + " of memory)");
 }
 
 nlohmann::ordered_json reportJson(const Baked& baked, const Arguments& a,
@@ -301,6 +605,8 @@ nlohmann::ordered_json reportJson(const Baked& baked, const Arguments& a,
     j["width"] = info.width;
     j["height"] = info.height;
     j["faces"] = baked.map.faceCount();
+    j["channels"] = info.channels;
+    j["subsamples"] = a.subsamples;
     j["light"] = lightJson(info.light);
     j["bias"] = info.bias;
     j["biasPerDepth"] = info.biasPerDepth;
@@ -308,33 +614,37 @@ nlohmann::ordered_json reportJson(const Baked& baked, const Arguments& a,
     j["maxLayers"] = info.maxLayers;
     j["samples"] = info.samples;
     j["samplesDropped"] = info.samplesDropped;
+    j["droppedByLayers"] = r.droppedByLayers;
+    j["droppedByResets"] = r.droppedByResets;
+    j["droppedHidden"] = r.droppedHidden;
+    j["toleranceAsked"] = info.toleranceAsked;
+    j["toleranceReached"] = info.toleranceReached;
+    j["pixelsOverTolerance"] = r.pixelsOverTolerance;
     j["castersClipped"] = info.castersClipped;
     j["casters"] = {{"meshes", r.meshes},         {"triangles", r.triangles},
+                    {"strands", r.strands},       {"segments", r.segments},
+                    {"volumes", r.volumes},       {"voxels", r.voxels},
                     {"degenerate", r.degenerate}, {"nonFinite", r.nonFinite},
                     {"culled", r.culled},         {"transparent", r.transparent},
                     {"outside", r.outside},       {"clipped", r.clipped}};
+    j["passes"] = r.passes;
+    j["peakMemory"] = peakMemory();
     j["seconds"] = {{"read", r.readSeconds},
                     {"raster", r.rasterSeconds},
+                    {"compress", r.compressSeconds},
                     {"write", timing.write},
                     {"total", timing.total}};
     return j;
 }
 
-void run(const Arguments& a, const CLI::App& app, Talk& talk) {
+void run(const Arguments& a, const CLI::App& app, const Input& input, Talk& talk) {
     using Clock = std::chrono::steady_clock;
     const auto since = [](Clock::time_point start) {
         return std::chrono::duration<double>(Clock::now() - start).count();
     };
     const auto start = Clock::now();
-    talk.setQuiet(a.quiet);
-    if (a.output == "-")
-        throw UsageError(
-            "-o -: a map needs the name of a file; /dev/stdout writes to a pipe");
-    checkOutput(a.output, a.inputs);
-    const MeshFileOptions files = meshOptions(a, talk);
-    const BakeOptions options = bakeOptions(a, app, files, talk);
-
-    MeshFiles casters(a.inputs, files);
+    const BakeOptions options = bakeOptions(a, app, input, talk);
+    CasterFiles casters(input.casters, filesOptions(a, talk));
     const Baked baked = unwrap(bake(casters, options));
 
     WriteOptions write;
@@ -357,6 +667,21 @@ void run(const Arguments& a, const CLI::App& app, Talk& talk) {
     if (a.json) print(jsonText(reportJson(baked, a, fileBytes, timing)));
 }
 
+void checkOutput(const Arguments& a, const Input& input) {
+    if (a.output.empty())
+        throw UsageError(
+            "-o: is required" +
+            std::string(input.job ? ", or output = \"...\" in the job" : "") +
+            ": the map needs a file, such as -o key.mtsm");
+    if (a.output == "-")
+        throw UsageError(
+            "-o -: a map needs the name of a file; /dev/stdout writes to a pipe");
+    std::vector<std::string> inputs = a.inputs;
+    for (const CasterFile& caster : input.casters)
+        inputs.push_back(caster.path);
+    tools::checkOutput(a.output, inputs);
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -366,6 +691,10 @@ int main(int argc, char** argv) {
     Arguments arguments;
     addOptions(app, arguments);
     return runTool(app, argc, argv, talk, [&] {
-        withThreads(arguments.threads, [&] { run(arguments, app, talk); });
+        Input input = readInput(arguments, app);
+        talk.setQuiet(arguments.quiet);
+        checkOutput(arguments, input);
+        applyCasterOptions(arguments, input.casters);
+        withThreads(arguments.threads, [&] { run(arguments, app, input, talk); });
     });
 }

@@ -75,8 +75,8 @@ void addOptions(CLI::App& app, Arguments& a) {
     }
     addChoice(app, "--channel", a.channel, kChannels,
               "of --image: number of layers, nearest and farthest\n"
-              "depth, visibility behind all, number of samples\n"
-              "(default: layers)")
+              "depth, visibility behind all (in colour if the map\n"
+              "is), number of samples (default: layers)")
         ->group("How");
     addWhole(app, "--face", a.face, 0, 5, "face of a six-faced map, 0 to 5 (default: 0)")
         ->group("How");
@@ -94,6 +94,11 @@ void printJson(const ordered_json& j) {
 
 ordered_json triple(const glm::dvec3& v) {
     return ordered_json::array({v.x, v.y, v.z});
+}
+
+/// Those in which some layer lets something through.
+std::uint64_t translucentTiles(const Description& d) {
+    return d.tiles - d.emptyTiles - d.opaqueTiles;
 }
 
 // --- summary as JSON -------------------------------------------------------------------
@@ -135,6 +140,7 @@ ordered_json summaryJson(const Arguments& a, const Description& d, const ShadowM
         j["projections"].push_back(projectionJson(map.projection(f)));
     j["bias"] = info.bias;
     j["biasPerDepth"] = info.biasPerDepth;
+    j["translucent"] = info.translucent == Translucent::media ? "media" : "sheets";
     j["maxLayers"] = info.maxLayers;
     j["resets"] =
         info.resets == kAllResets ? ordered_json("all") : ordered_json(info.resets);
@@ -148,6 +154,7 @@ ordered_json summaryJson(const Arguments& a, const Description& d, const ShadowM
     j["settings"] = info.settings;
     j["attributes"] = attributesJson(info);
     j["layers"] = d.layers;
+    j["layerSamples"] = d.samples;
     j["mostLayers"] = d.mostLayers;
     j["layerHistogram"] = d.layerHistogram;
     if (!d.z.empty()) j["zRange"] = {d.z.min, d.z.max};
@@ -156,6 +163,7 @@ ordered_json summaryJson(const Arguments& a, const Description& d, const ShadowM
     j["tiles"] = d.tiles;
     j["emptyTiles"] = d.emptyTiles;
     j["opaqueTiles"] = d.opaqueTiles;
+    j["translucentTiles"] = translucentTiles(d);
     j["memoryBytes"] = map.memoryBytes();
     j["blocks"] = ordered_json::array();
     for (const Description::Block& b : d.blocks)
@@ -171,7 +179,9 @@ ordered_json summaryJson(const Arguments& a, const Description& d, const ShadowM
                                {"raw", p.raw},
                                {"compressed", p.compressed},
                                {"storedBytes", p.storedBytes},
-                               {"decodedBytes", p.decodedBytes}});
+                               {"decodedBytes", p.decodedBytes},
+                               {"leftOut", p.leftOut},
+                               {"leftOutBytes", p.leftOutBytes}});
     return j;
 }
 
@@ -190,12 +200,24 @@ class Rows {
     std::ostringstream out_;
 };
 
-std::string share(std::uint64_t part, std::uint64_t whole) {
-    if (whole == 0) return countText(part);
+/// The part, as `text` has it, and its share of the whole.
+std::string share(std::uint64_t part, std::uint64_t whole,
+                  std::string (*text)(std::uint64_t) = countText) {
+    if (whole == 0) return text(part);
     std::ostringstream out;
-    out << countText(part) << " (" << std::fixed << std::setprecision(1)
+    out << text(part) << " (" << std::fixed << std::setprecision(1)
         << 100.0 * double(part) / double(whole) << " %)";
     return out.str();
+}
+
+/// To two digits behind the point.
+std::string rounded(double value) {
+    return numberText(std::round(100.0 * value) / 100.0);
+}
+
+/// "1 tile", "2 tiles"
+std::string counted(std::uint64_t count, const std::string& what) {
+    return countText(count) + " " + what + (count == 1 ? "" : "s");
 }
 
 void lightRows(Rows& rows, const ShadowMap& map) {
@@ -218,6 +240,9 @@ void lightRows(Rows& rows, const ShadowMap& map) {
     rows.row("bias", info.biasPerDepth > 0.0f && info.bias == 0.0f
                          ? numberText(info.biasPerDepth) + " of a layer's depth"
                          : numberText(info.bias) + " world units");
+    rows.row("translucent", info.translucent == Translucent::media
+                                ? "media: met at exact crossings, no bias"
+                                : "sheets: met within the bias, once");
     if (info.metresPerUnit > 0)
         rows.row("world unit", numberText(info.metresPerUnit) + " m");
     if (info.castersClipped) rows.row("window", "some casters reach out of it");
@@ -232,6 +257,11 @@ void contentRows(Rows& rows, const MapInfo& info, const Description& d) {
                               : std::string("all"));
     rows.row("samples", countText(info.samples) + ", " +
                             share(info.samplesDropped, info.samples) + " dropped");
+    if (d.samples > d.layers)
+        rows.row("merged", countText(d.samples) + " samples into " + countText(d.layers) +
+                               " layers, " +
+                               rounded(double(d.samples) / double(d.layers)) +
+                               " samples per layer");
     rows.row("depths", d.z.empty() ? "none: the map is empty"
                                    : numberText(d.z.min) + " to " + numberText(d.z.max) +
                                          " world units");
@@ -243,25 +273,31 @@ void contentRows(Rows& rows, const MapInfo& info, const Description& d) {
     rows.row("tiles", countText(d.tiles) + " of " + std::to_string(info.tileSize) +
                           " x " + std::to_string(info.tileSize) + ", " +
                           share(d.emptyTiles, d.tiles) + " empty, " +
-                          share(d.opaqueTiles, d.tiles) + " opaque");
+                          share(d.opaqueTiles, d.tiles) + " opaque, " +
+                          share(translucentTiles(d), d.tiles) + " translucent");
 }
 
 void byteRows(Rows& rows, const ShadowMap& map, const Description& d) {
     rows.group("Bytes");
     rows.row("file",
              bytesText(d.fileBytes) +
-                 (d.layers ? ", " +
-                                 numberText(std::round(100.0 * double(d.fileBytes) /
-                                                       double(d.layers)) /
-                                            100.0) +
+                 (d.layers ? ", " + rounded(double(d.fileBytes) / double(d.layers)) +
                                  " bytes per layer"
                            : ""));
     rows.row("in memory", bytesText(map.memoryBytes()));
-    for (const Description::Plane& p : d.planes)
-        rows.row("plane " + p.name,
-                 bytesText(p.storedBytes) + " for " + bytesText(p.decodedBytes) + ": " +
-                     countText(p.constant) + " constant, " + countText(p.raw) + " raw, " +
-                     countText(p.compressed) + " compressed");
+    for (const Description::Plane& p : d.planes) {
+        if (p.planes)
+            rows.row("plane " + p.name, share(p.storedBytes, d.fileBytes, bytesText) +
+                                            " for " + bytesText(p.decodedBytes) + ": " +
+                                            countText(p.constant) + " constant, " +
+                                            countText(p.raw) + " raw, " +
+                                            countText(p.compressed) + " compressed");
+        if (p.leftOut)
+            rows.row("plane " + p.name,
+                     "left out of " +
+                         counted(p.leftOut, p.name == "counts" ? "empty tile" : "tile") +
+                         ", where it would take " + bytesText(p.leftOutBytes));
+    }
     for (const Description::Block& b : d.blocks)
         rows.row("block " + b.type, bytesText(b.bytes) + " in " + countText(b.count) +
                                         (b.critical ? "" : ", may be skipped"));
@@ -358,6 +394,11 @@ std::vector<LayerRow> layerRows(const PixelLayers& p, std::uint32_t channels) {
     return rows;
 }
 
+std::vector<const char*> visibilityNames(std::uint32_t channels) {
+    if (channels == 1) return {"v"};
+    return {"v red", "v green", "v blue"};
+}
+
 void showPixel(const Arguments& a, const ShadowMap& map) {
     const std::uint32_t face = checkedFace(a, map);
     const glm::uvec2 at = checkedPixel("--pixel", a.pixel, map);
@@ -373,10 +414,13 @@ void showPixel(const Arguments& a, const ShadowMap& map) {
     std::ostringstream out;
     out << "pixel (" << at.x << ", " << at.y << "), face " << face << ": " << rows.size()
         << (rows.size() == 1 ? " layer\n" : " layers\n");
-    if (!rows.empty())
-        out << std::setw(6) << "layer" << std::setw(16) << "z" << std::setw(16) << "v"
-            << std::setw(10) << "n"
+    if (!rows.empty()) {
+        out << std::setw(6) << "layer" << std::setw(16) << "z";
+        for (const char* name : visibilityNames(map.info().channels))
+            out << std::setw(16) << name;
+        out << std::setw(10) << "n"
             << "\n";
+    }
     for (std::size_t i = 0; i < rows.size(); ++i) {
         out << std::setw(6) << i << std::setw(16) << numberText(rows[i].z);
         for (float v : rows[i].v)
@@ -400,9 +444,8 @@ void showImage(const Arguments& a, const ShadowMap& map, Talk& talk) {
     const FloatImage image = mapImage(map, checkedFace(a, map), channel);
     const Writing writing(a.image);
     if (extension(a.image) == ".exr") return unwrap(writeImageExr(a.image, image));
-    const std::vector<float>& values = image.channels.front().values;
     float least = std::numeric_limits<float>::infinity(), most = -least;
-    for (float v : values) {
+    for (float v : image.channels.front().values) {
         if (!std::isfinite(v)) continue;
         least = std::min(least, v);
         most = std::max(most, v);
@@ -415,8 +458,12 @@ void showImage(const Arguments& a, const ShadowMap& map, Talk& talk) {
              (least <= most
                   ? ": black is " + numberText(least) + ", white is " + numberText(most)
                   : std::string(": there is none, the map is empty")));
+    const std::uint32_t w = image.data.width, h = image.data.height;
+    const auto& planes = image.channels;
     unwrap(writeImagePng(
-        a.image, greyImage(image.data.width, image.data.height, values, least, most)));
+        a.image, planes.size() == 4 ? colorImage(w, h, planes[1].values, planes[2].values,
+                                                 planes[3].values, least, most)
+                                    : greyImage(w, h, planes[0].values, least, most)));
 }
 
 void validate(const Arguments& a, const ReadLimits& limits) {

@@ -1,6 +1,7 @@
 #include "mtsm/describe.h"
 
 #include <algorithm>
+#include <numeric>
 
 #include "base/printable.h"
 #include "format/guard.h"
@@ -40,6 +41,34 @@ void describeBlocks(const FileFacts& facts, Description& d) {
     addBlock(d, kIndx, kCritical, facts.indexLength);
 }
 
+/// Planes of the kind that a tile does not have.
+void leaveOut(FileFacts& facts, PlaneKind kind, std::uint64_t planes,
+              std::uint64_t bytes) {
+    Description::Plane& plane = facts.planes[std::size_t(kind)];
+    plane.leftOut += planes;
+    plane.leftOutBytes += bytes;
+}
+
+void describeLeftOut(const ShadowMap& map, FileFacts& facts) {
+    const std::uint32_t channels = map.info().channels;
+    for (const TileEntry& e : facts.index.tiles) {
+        const std::uint64_t layers = e.layers;
+        if (e.offset != 0 && !(e.planes & kHasV))
+            leaveOut(facts, PlaneKind::v, channels, channels * layers * sizeof(float));
+        if (e.offset != 0 && !(e.planes & kHasN))
+            leaveOut(facts, PlaneKind::n, 1, layers);  // ones fit in a byte
+    }
+    for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
+        for (std::uint32_t ty = 0; ty < map.tilesY(); ++ty) {
+            for (std::uint32_t tx = 0; tx < map.tilesX(); ++tx) {
+                if (!map.tile(face, tx, ty).empty()) continue;
+                leaveOut(facts, PlaneKind::counts, 1,
+                         std::uint64_t(map.tileWidth(tx)) * map.tileHeight(ty));
+            }
+        }
+    }
+}
+
 void describePixels(const ShadowMap& map, Description& d) {
     d.layers = map.layerCount();
     d.z = wholeRange(map);
@@ -47,7 +76,11 @@ void describePixels(const ShadowMap& map, Description& d) {
     for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
         for (std::uint32_t y = 0; y < map.info().height; ++y) {
             for (std::uint32_t x = 0; x < map.info().width; ++x) {
-                const std::uint32_t count = map.pixel(face, x, y).count;
+                const PixelLayers pixel = map.pixel(face, x, y);
+                const std::uint32_t count = pixel.count;
+                d.samples +=
+                    pixel.n ? std::accumulate(pixel.n, pixel.n + count, std::uint64_t(0))
+                            : count;
                 if (count >= d.layerHistogram.size())
                     d.layerHistogram.resize(std::size_t(count) + 1);
                 d.layerHistogram[count] += 1;
@@ -71,9 +104,10 @@ Result<Description> describeFile(const std::string& path, const ReadLimits& limi
     d.probe = {p.versionMajor, p.versionMinor, p.width,   p.height,
                p.faces,        p.channels,     p.tileSize};
     d.fileBytes = (*source)->size();
+    describeLeftOut(*map, facts);
     static constexpr const char* kNames[] = {"counts", "z", "v", "n"};
     for (std::size_t kind = 0; kind < facts.planes.size(); ++kind) {
-        if (facts.planes[kind].planes == 0) continue;
+        if (facts.planes[kind].planes + facts.planes[kind].leftOut == 0) continue;
         d.planes.push_back(facts.planes[kind]);
         d.planes.back().name = kNames[kind];
     }

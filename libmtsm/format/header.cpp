@@ -191,7 +191,9 @@ Result<Bytes> encodeHead(const ShadowMap& map) {
     const MapInfo& info = map.info();
     HeadFixed h = {};
     h.depthMeaning = static_cast<std::uint32_t>(DepthMeaning::linearLightSpace);
-    h.visibilityRule = static_cast<std::uint32_t>(VisibilityRule::step);
+    h.visibilityRule = static_cast<std::uint32_t>(info.translucent == Translucent::media
+                                                      ? VisibilityRule::stepMedia
+                                                      : VisibilityRule::stepSheets);
     h.lightShape = static_cast<std::uint32_t>(info.light.shape);
     h.lightPosition = pack(info.light.position);
     h.lightDirection = pack(info.light.direction);
@@ -227,10 +229,13 @@ Status decodeHead(BytesView payload, const Prefix& prefix, MapInfo& info,
     if (h.depthMeaning != std::uint32_t(DepthMeaning::linearLightSpace))
         return makeError(ErrorCode::unsupported, "depth meaning ", h.depthMeaning,
                          " is unknown: a newer libmtsm is needed");
-    if (h.visibilityRule != std::uint32_t(VisibilityRule::step))
+    if (h.visibilityRule > std::uint32_t(VisibilityRule::stepMedia))
         return makeError(ErrorCode::unsupported, "visibility rule ", h.visibilityRule,
                          " is unknown: a newer libmtsm is needed");
 
+    info.translucent = h.visibilityRule == std::uint32_t(VisibilityRule::stepMedia)
+                           ? Translucent::media
+                           : Translucent::sheets;
     info.width = prefix.width;
     info.height = prefix.height;
     info.tileSize = prefix.tileSize;

@@ -80,7 +80,7 @@ static_assert(sizeof(BlockHeader) == 32 && offsetof(BlockHeader, headerChecksum)
 // ----------------------------------------------------------------------------------
 
 enum class DepthMeaning : std::uint32_t { linearLightSpace = 0 };
-enum class VisibilityRule : std::uint32_t { step = 0 };
+enum class VisibilityRule : std::uint32_t { stepSheets = 0, stepMedia = 1 };
 
 /// Start of the payload. FaceRecord x faces follow, then two texts: software, settings.
 struct HeadFixed {

@@ -66,4 +66,19 @@ ByteImage greyImage(std::uint32_t width, std::uint32_t height,
     return image;
 }
 
+ByteImage colorImage(std::uint32_t width, std::uint32_t height,
+                     const std::vector<float>& red, const std::vector<float>& green,
+                     const std::vector<float>& blue, float black, float white) {
+    ByteImage image{width, height, 3, {}};
+    image.values.resize(3 * red.size());
+    std::size_t channel = 0;
+    for (const auto* plane : {&red, &green, &blue}) {
+        const ByteImage grey = greyImage(width, height, *plane, black, white);
+        for (std::size_t i = 0; i < grey.values.size(); ++i)
+            image.values[3 * i + channel] = grey.values[i];
+        ++channel;
+    }
+    return image;
+}
+
 }  // namespace mtsm

@@ -16,15 +16,18 @@ namespace {
 
 using base::concat;
 
-float visibilityBehind(const PixelLayers& p, std::uint32_t channels) {
+float channelBehind(const PixelLayers& p, std::uint32_t channel) {
     if (p.count == 0) return 1.0f;
     if (!p.v) return 0.0f;
     // A reset means that a layer before it was opaque: nothing passes from there on.
+    const float* v = p.v + channel * p.vStride;
+    return *std::min_element(v, v + p.count);
+}
+
+float visibilityBehind(const PixelLayers& p, std::uint32_t channels) {
     float sum = 0.0f;
-    for (std::uint32_t c = 0; c < channels; ++c) {
-        const float* v = p.v + c * p.vStride;
-        sum += *std::min_element(v, v + p.count);
-    }
+    for (std::uint32_t c = 0; c < channels; ++c)
+        sum += channelBehind(p, c);
     return sum / float(channels);
 }
 
@@ -167,12 +170,22 @@ const char* name(MapChannel channel) noexcept {
 FloatImage mapImage(const ShadowMap& map, std::uint32_t face, MapChannel channel) {
     const MapInfo& info = map.info();
     FloatImage image(info.width, info.height);
-    image.channels.push_back({name(channel), {}});
-    std::vector<float>& values = image.channels.front().values;
-    values.reserve(std::size_t(info.width) * info.height);
-    for (std::uint32_t y = 0; y < info.height; ++y) {
-        for (std::uint32_t x = 0; x < info.width; ++x)
-            values.push_back(pixelValue(map.pixel(face, x, y), info.channels, channel));
+    const auto add = [&](const char* channelName, auto&& valueOf) {
+        image.channels.push_back({channelName, {}});
+        std::vector<float>& values = image.channels.back().values;
+        values.reserve(std::size_t(info.width) * info.height);
+        for (std::uint32_t y = 0; y < info.height; ++y) {
+            for (std::uint32_t x = 0; x < info.width; ++x)
+                values.push_back(valueOf(map.pixel(face, x, y)));
+        }
+    };
+    add(name(channel),
+        [&](const PixelLayers& p) { return pixelValue(p, info.channels, channel); });
+    if (channel != MapChannel::visibility || info.channels != 3) return image;
+    std::uint32_t c = 0;
+    for (const char* color : {"R", "G", "B"}) {
+        add(color, [c](const PixelLayers& p) { return channelBehind(p, c); });
+        ++c;
     }
     return image;
 }

@@ -97,6 +97,9 @@ Status ShadowMap::checkShape() const {
         if (!(tolerance >= 0.0f && tolerance <= 1.0f))
             return invalid("tolerance ", tolerance, " must be in [0, 1]");
     }
+    if (i.translucent != Translucent::sheets && i.translucent != Translucent::media)
+        return invalid("translucent ", unsigned(i.translucent),
+                       " is neither sheets (0) nor media (1)");
     if (!(i.metresPerUnit >= 0.0 && std::isfinite(i.metresPerUnit)))
         return invalid("metres per unit ", i.metresPerUnit, " must be finite and >= 0");
     std::set<std::string> names;
@@ -326,8 +329,9 @@ bool same(const MapInfo& a, const MapInfo& b) {
     }
     return a.width == b.width && a.height == b.height && a.tileSize == b.tileSize &&
            a.channels == b.channels && same(a.light, b.light) && same(a.bias, b.bias) &&
-           same(a.biasPerDepth, b.biasPerDepth) && a.maxLayers == b.maxLayers &&
-           a.resets == b.resets && same(a.toleranceAsked, b.toleranceAsked) &&
+           same(a.biasPerDepth, b.biasPerDepth) && a.translucent == b.translucent &&
+           a.maxLayers == b.maxLayers && a.resets == b.resets &&
+           same(a.toleranceAsked, b.toleranceAsked) &&
            same(a.toleranceReached, b.toleranceReached) &&
            same(a.metresPerUnit, b.metresPerUnit) &&
            a.castersClipped == b.castersClipped && a.samples == b.samples &&

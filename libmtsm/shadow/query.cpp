@@ -2,15 +2,13 @@
 // rays.
 #include <algorithm>
 #include <cmath>
+#include <glm/common.hpp>
 #include <glm/geometric.hpp>
 
 #include "base/finite.h"
 #include "shadow/query.h"
 
 namespace mtsm::shadow {
-float mean(const trace::ChannelVisibility& v, std::uint32_t channels) noexcept {
-    return channels == 3 ? (v[0] + v[1] + v[2]) / 3.0f : v[0];
-}
 
 trace::ZBias biasOf(const ShadowMap& map, float asked) noexcept {
     if (asked >= 0.0f && std::isfinite(asked)) return {asked, 0.0};
@@ -23,29 +21,40 @@ double thresholdOf(float asked) noexcept {
 
 Query::Query(const ShadowMap& map, const AreaLight& light,
              const ShadowOptions& options) noexcept
-    : map_(map), light_(light), options_(options), bias_(biasOf(map, options.bias)) {
+    : map_(map),
+      light_(light),
+      options_(options),
+      bias_(biasOf(map, options.bias)),
+      media_(map.info().translucent == Translucent::media) {
     samples_ = light_.isPoint()
                    ? 1u
                    : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
 }
 
-float Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
-                          QueryStats& stats) const noexcept {
+glm::vec3 Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
+                              QueryStats& stats) const noexcept {
     ++stats.points;
     if (!base::isFinite(point)) {
         ++stats.notFinite;
-        return 0.0f;
+        return glm::vec3(0.0f);
     }
     if (light_.isBehind(point)) {
         ++stats.behindLight;
-        return 0.0f;
+        return glm::vec3(0.0f);
     }
     if (map_.info().castersClipped && mayBeTruncated(point)) ++stats.mayBeTruncated;
+    return blocked(receiverAt(point, normal), base::pointKey(point, options_.seed),
+                   stats);
+}
 
+Query::Receiver Query::receiverAt(glm::dvec3 point, glm::dvec3 normal) const noexcept {
     Receiver receiver;
     receiver.point = point;
-    const Projection& p = map_.projection(0);
-    receiver.bias = bias_.at(glm::dot(p.forward, point - p.eye));
+    receiver.face = trace::faceOf(map_, point);
+    const Projection& p = map_.projection(receiver.face);
+    const double z = glm::dot(p.forward, point - p.eye);
+    receiver.surfaceStart = kStartBiases * bias_.at(z);
+    receiver.mediaStart = kMediaStart * p.pixelFootprint(std::abs(z));
     // Scaled first: the square of a length may overflow or vanish.
     const double size =
         std::max({std::abs(normal.x), std::abs(normal.y), std::abs(normal.z)});
@@ -53,15 +62,16 @@ float Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
         receiver.hasNormal = true;
         receiver.plane = {point, glm::normalize(normal / size), kPlaneHeight};
     }
-    return blocked(receiver, base::pointKey(point, options_.seed), stats);
+    return receiver;
 }
 
 /// One minus the weighted mean of the visibility over the light.
-float Query::blocked(const Receiver& receiver, std::uint64_t key,
-                     QueryStats& stats) const noexcept {
+glm::vec3 Query::blocked(const Receiver& receiver, std::uint64_t key,
+                         QueryStats& stats) const noexcept {
     const base::SquareSequence sequence(key);
     const bool cosine = options_.weight == Weight::cosine && receiver.hasNormal;
-    double visible = 0.0, total = 0.0;
+    glm::dvec3 visible(0.0);
+    double total = 0.0;
     bool above = false;
     for (std::uint32_t i = 0; i < samples_; ++i) {
         const glm::dvec2 u = light_.isPoint() ? glm::dvec2(0.5) : sequence(i);
@@ -78,27 +88,29 @@ float Query::blocked(const Receiver& receiver, std::uint64_t key,
         above = above || towards > 0.0;
         if (!(towards > 0.0) || weight == 0.0) continue;  // below the horizon: blocked
         ++stats.rays;
-        visible +=
-            weight * (options_.method == ShadowMethod::pcf ? filtered(receiver, sample)
-                                                           : traced(receiver, sample));
+        const trace::ChannelVisibility v = options_.method == ShadowMethod::pcf
+                                               ? filtered(receiver, sample)
+                                               : traced(receiver, sample);
+        visible += weight * glm::dvec3(v[0], v[1], v[2]);
     }
     // All weights may vanish in the distance; below the horizon all is dark.
-    if (!(total > 0.0)) return above ? 0.0f : 1.0f;
-    return static_cast<float>(std::clamp(1.0 - visible / total, 0.0, 1.0));
+    if (!(total > 0.0)) return glm::vec3(above ? 0.0f : 1.0f);
+    return glm::vec3(glm::clamp(1.0 - visible / total, 0.0, 1.0));
 }
 
-float Query::traced(const Receiver& receiver,
-                    const light::LightSample& sample) const noexcept {
+trace::ChannelVisibility Query::traced(const Receiver& receiver,
+                                       const light::LightSample& sample) const noexcept {
     trace::Ray ray;
     ray.origin = receiver.point;
     ray.delta = sample.delta;
     if (sample.endless) ray.tEnd = HUGE_VAL;
     if (!receiver.hasNormal) {
         const double length = glm::length(sample.delta);
-        if (!(length > 0.0)) return 1.0f;
-        ray.tBegin = kStartBiases * receiver.bias / length;
+        if (!(length > 0.0)) return {1.0f, 1.0f, 1.0f};
+        ray.tSurfaces = receiver.surfaceStart / length;
+        ray.tBegin = media_ ? receiver.mediaStart / length : ray.tSurfaces;
     }
-    return mean(trace::traceRay(map_, ray, traceOptions(receiver)), map_.info().channels);
+    return trace::traceRay(map_, ray, traceOptions(receiver));
 }
 
 trace::TraceOptions Query::traceOptions(const Receiver& receiver) const noexcept {

@@ -26,6 +26,25 @@ void add(QueryStats& total, const QueryStats& part) {
     total.mayBeTruncated += part.mayBeTruncated;
 }
 
+/// Hands the factors of point i to take(i, factors), for all points.
+template <typename Take>
+void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
+               const glm::dvec3* normals, std::size_t count, const ShadowOptions& options,
+               QueryStats* stats, const Take& take) {
+    const shadow::Query query(map, light, options);
+    std::mutex mutex;
+    const auto answer = [&](std::size_t begin, std::size_t end) {
+        QueryStats part;
+        for (std::size_t i = begin; i < end; ++i)
+            take(i, query.shadowFactor(points[i], normals ? normals[i] : glm::dvec3(0.0),
+                                       part));
+        if (!stats) return;
+        const std::lock_guard lock(mutex);
+        add(*stats, part);
+    };
+    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
+}
+
 }  // namespace
 
 Status checkQuery(const ShadowMap& map, const AreaLight& light,
@@ -41,34 +60,41 @@ Status checkQuery(const ShadowMap& map, const AreaLight& light,
     return lightFits(light, map.info().light);
 }
 
-float shadowFactor(const ShadowMap& map, const AreaLight& light, glm::dvec3 point,
-                   glm::dvec3 normal, const ShadowOptions& options) noexcept {
+glm::vec3 shadowFactorColor(const ShadowMap& map, const AreaLight& light,
+                            glm::dvec3 point, glm::dvec3 normal,
+                            const ShadowOptions& options) noexcept {
     QueryStats stats;
     return shadow::Query(map, light, options).shadowFactor(point, normal, stats);
+}
+
+float shadowFactor(const ShadowMap& map, const AreaLight& light, glm::dvec3 point,
+                   glm::dvec3 normal, const ShadowOptions& options) noexcept {
+    return shadow::mean(shadowFactorColor(map, light, point, normal, options),
+                        map.info().channels);
+}
+
+void shadowFactorsColor(const ShadowMap& map, const AreaLight& light,
+                        const glm::dvec3* points, const glm::dvec3* normals,
+                        std::size_t count, glm::vec3* out, const ShadowOptions& options,
+                        QueryStats* stats) noexcept {
+    answerAll(map, light, points, normals, count, options, stats,
+              [&](std::size_t i, glm::vec3 factor) { out[i] = factor; });
 }
 
 void shadowFactors(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
                    const glm::dvec3* normals, std::size_t count, float* out,
                    const ShadowOptions& options, QueryStats* stats) noexcept {
-    const shadow::Query query(map, light, options);
-    std::mutex mutex;
-    const auto answer = [&](std::size_t begin, std::size_t end) {
-        QueryStats part;
-        for (std::size_t i = begin; i < end; ++i)
-            out[i] = query.shadowFactor(points[i], normals ? normals[i] : glm::dvec3(0.0),
-                                        part);
-        if (!stats) return;
-        const std::lock_guard lock(mutex);
-        add(*stats, part);
-    };
-    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
+    answerAll(map, light, points, normals, count, options, stats,
+              [&](std::size_t i, glm::vec3 factor) {
+                  out[i] = shadow::mean(factor, map.info().channels);
+              });
 }
 
-float visibility(const ShadowMap& map, const ShadowRay& ray,
-                 const RayOptions& options) noexcept {
+glm::vec3 visibilityColor(const ShadowMap& map, const ShadowRay& ray,
+                          const RayOptions& options) noexcept {
     if (!base::isFinite(ray.origin) || !base::isFinite(ray.direction) ||
         !(ray.length > 0.0))
-        return 1.0f;
+        return glm::vec3(1.0f);
     trace::Ray traced;
     traced.origin = ray.origin;
     traced.delta = ray.direction;
@@ -77,7 +103,22 @@ float visibility(const ShadowMap& map, const ShadowRay& ray,
     traceOptions.bias = shadow::biasOf(map, options.bias);
     traceOptions.threshold = shadow::thresholdOf(options.threshold);
     traceOptions.attenuation = options.attenuation;
-    return shadow::mean(trace::traceRay(map, traced, traceOptions), map.info().channels);
+    const trace::ChannelVisibility v = trace::traceRay(map, traced, traceOptions);
+    return {v[0], v[1], v[2]};
+}
+
+float visibility(const ShadowMap& map, const ShadowRay& ray,
+                 const RayOptions& options) noexcept {
+    return shadow::mean(visibilityColor(map, ray, options), map.info().channels);
+}
+
+void visibilitiesColor(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
+                       glm::vec3* out, const RayOptions& options) noexcept {
+    const auto answer = [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i)
+            out[i] = visibilityColor(map, rays[i], options);
+    };
+    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
 }
 
 void visibilities(const ShadowMap& map, const ShadowRay* rays, std::size_t count,

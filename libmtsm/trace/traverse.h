@@ -11,8 +11,17 @@
 // either: without a bias it would slip through. And because a ray that changes pixels
 // close to a sheet then meets two of its layers, as many samples of the next pixel as it
 // met close to where it left the last one are not met again: a half-transparent sheet is
-// paid for once. (Media, whose samples in neighbouring pixels have nothing to do with
-// each other, want a bias of 0: then only exact crossings count.)
+// paid for once.
+//
+// Media. In a map of media (Translucent::media) that holds for surfaces only: layers of
+// one sample that are dark. All other layers are met where the ray crosses the depths of
+// their samples: those from where it enters to where it leaves, without the latter, so
+// that a sample at the very depth at which the ray changes pixels is met once.
+//
+// Six faces. A point of the ray belongs to the face in which its depth is greatest, to
+// the first of several that are level (map.h). Depths are linear in t, so each face has
+// one interval of the ray, and one number ends it and begins the next: they tile the
+// ray whatever is rounded, at edges and corners too.
 #pragma once
 #include <array>
 #include <cmath>
@@ -28,6 +37,8 @@ struct Ray {
     glm::dvec3 delta{0.0};   ///< finite; zero is clear
     double tBegin = 0.0;
     double tEnd = 1.0;  ///< may be infinite
+    /// In a map of media, surfaces count from here on only, if that is behind tBegin.
+    double tSurfaces = 0.0;
 };
 
 /// The z threshold at depth z is base + perDepth * z; world units.
@@ -62,29 +73,48 @@ using ChannelVisibility = std::array<float, 3>;
 [[nodiscard]] ChannelVisibility traceRay(const ShadowMap& map, const Ray& ray,
                                          const TraceOptions& options) noexcept;
 
+/// How far beyond its face's window a point may lie by rounding, pixels.
+inline constexpr double kFaceMargin = 0x1p-10;
+
+/// The face that a point of world space belongs to.
+[[nodiscard]] std::uint32_t faceOf(const ShadowMap& map, glm::dvec3 point) noexcept;
+
 /// Depths from low to high, both included; nothing if low > high.
 struct Span {
     double low = -HUGE_VAL, high = HUGE_VAL;
     [[nodiscard]] bool empty() const noexcept { return !(low <= high); }
 };
 
+/// Rays across the view meet few samples of a medium, each of which then counts for more.
+inline constexpr double kMostStretch = 16.0;
+
 /// A ray on its way through one pixel.
 struct PixelCrossing {
     double zEnter = 0.0, zExit = 0.0;
-    double bias = 0.0;  ///< z threshold there
-    Span counted;       ///< layers outside do not count
+    double bias = 0.0;     ///< z threshold there
+    Span counted;          ///< layers outside do not count
+    bool surfaces = true;  ///< false, in a map of media: surfaces do not count
+    /// Media: how much longer the ray's way through a slice of depth is than the centre
+    /// ray's, at most kMostStretch.
+    double stretch = 1.0;
 };
 
-/// What a ray has left, and how many samples of sheets it has paid for close to where it
-/// left a pixel.
+/// What a ray has left.
 struct RayState {
     std::array<double, 3> visible{1.0, 1.0, 1.0};
+    /// Sheets: how many samples it has paid for close to where it left a pixel, and where
+    /// that was.
     std::uint64_t open = 0;
+    double tLeft = -HUGE_VAL;
 };
 
-/// Takes from the ray what one pixel's samples take; true if it is now at or below the
-/// threshold.
-bool attenuate(const PixelLayers& pixel, std::uint32_t channels,
+/// What is left, as a query sees it: what fell to the threshold or below is 0.
+[[nodiscard]] ChannelVisibility channelsOf(const RayState& state, std::uint32_t channels,
+                                           double threshold) noexcept;
+
+/// Takes from the ray what the samples of one pixel of a map take; true if it is now at
+/// or below the threshold. A layer whose v is that of the layer before takes nothing.
+bool attenuate(const PixelLayers& pixel, const MapInfo& info,
                const PixelCrossing& crossing, const TraceOptions& options,
                RayState& state) noexcept;
 

@@ -22,6 +22,9 @@ struct Linear {
     [[nodiscard]] double at(double t) const noexcept { return a + b * t; }
 };
 
+Linear operator+(Linear f, Linear g) {
+    return {f.a + g.a, f.b + g.b};
+}
 Linear operator-(Linear f, Linear g) {
     return {f.a - g.a, f.b - g.b};
 }
@@ -63,9 +66,16 @@ Crossing cross(Interval i, Linear f) noexcept {
 
 class Traversal {
   public:
-    Traversal(const ShadowMap& map, std::uint32_t face, const Ray& ray,
+    Traversal(const ShadowMap& map, std::uint32_t face, const Ray& ray, bool surfaces,
               const TraceOptions& options, RayState& state)
-        : map_(map), face_(face), options_(options), state_(state) {
+        : map_(map),
+          face_(face),
+          options_(options),
+          state_(state),
+          surfaces_(surfaces),
+          sheets_(!map.isOpaque() && map.info().translucent == Translucent::sheets),
+          media_(map.info().translucent == Translucent::media),
+          length_(media_ ? glm::length(ray.delta) : 1.0) {
         const Projection& p = map.projection(face);
         const glm::dvec3 o = p.lightFromWorld(ray.origin);
         const glm::dvec3 d = p.lightFromWorldDirection(ray.delta);
@@ -88,10 +98,13 @@ class Traversal {
         const double farthest = range.max * (1.0 + 0x1p-20) + widest;
         t = clip(t, z_ - Linear{nearest, 0.0});
         t = clip(t, Linear{farthest, 0.0} - z_);
-        t = clip(t, x_);
-        t = clip(t, double(map_.info().width) * h_ - x_);
-        t = clip(t, y_);
-        t = clip(t, double(map_.info().height) * h_ - y_);
+        // Where faces meet, rounding must not cut: the pixel at the border goes on for a
+        // little.
+        const double margin = map_.faceCount() > 1 ? kFaceMargin : 0.0;
+        t = clip(t, x_ + margin * h_);
+        t = clip(t, (map_.info().width + margin) * h_ - x_);
+        t = clip(t, y_ + margin * h_);
+        t = clip(t, (map_.info().height + margin) * h_ - y_);
         if (t.empty() || !std::isfinite(t.end)) return false;
         return visit(map_.levels() - 1, 0, 0, t);
     }
@@ -104,12 +117,10 @@ class Traversal {
         const double zLow = std::min(zEnter, zExit), zHigh = std::max(zEnter, zExit);
         const double bias = options_.bias.at(zHigh);
         const ZRange range = map_.zRange(face_, level, x, y);
-        // Sheets that let light through are followed a little beyond the bias: see
-        // attenuate.
-        const double reach = map_.isOpaque() ? bias : 2.0 * bias;
+        const double reach = sheets_ ? 2.0 * bias : bias;
         // Also true for an empty node, whose range is (+inf, -inf).
         if (!(range.min <= zHigh + reach && range.max >= zLow - reach)) return false;
-        if (level == 0) return meet(x, y, t, {zEnter, zExit, bias, {}});
+        if (level == 0) return meet(x, y, t, {zEnter, zExit, bias, {}, surfaces_});
 
         const std::uint32_t half = 1u << (level - 1);
         const double xMiddle = double((2 * x + 1) * half),
@@ -120,11 +131,12 @@ class Traversal {
         for (int i = 0; i < 3; ++i) {
             const Interval part{stops[i], stops[i + 1]};
             if (part.empty()) continue;
-            const std::uint32_t childX = 2 * x + (cx.highFirst == (part.begin < cx.t));
-            const std::uint32_t childY = 2 * y + (cy.highFirst == (part.begin < cy.t));
-            // A child beyond the right or lower border does not exist.
-            if (childX * half >= map_.info().width || childY * half >= map_.info().height)
-                continue;
+            std::uint32_t childX = 2 * x + (cx.highFirst == (part.begin < cx.t));
+            std::uint32_t childY = 2 * y + (cy.highFirst == (part.begin < cy.t));
+            // Beyond the right or lower border there is no child, and nothing of the ray
+            // but what rounding took there.
+            if (childX * half >= map_.info().width) childX = 2 * x;
+            if (childY * half >= map_.info().height) childY = 2 * y;
             if (visit(level - 1, childX, childY, part)) return true;
         }
         return false;
@@ -132,9 +144,9 @@ class Traversal {
 
     /// intersect(node, ray) of the paper, for one pixel.
     bool meet(std::uint32_t x, std::uint32_t y, Interval t, PixelCrossing crossing) {
-        if (t.begin != tLeft_)
+        if (t.begin != state_.tLeft)
             state_.open = 0;  // not straight from a pixel with layers near by
-        tLeft_ = t.end;
+        state_.tLeft = t.end;
         if (options_.plane) {
             crossing.counted = clipToPlane(map_.projection(face_), *options_.plane, x, y);
             if (crossing.counted.empty()) {
@@ -142,78 +154,222 @@ class Traversal {
                 return false;
             }
         }
-        return attenuate(map_.pixel(face_, x, y), map_.info().channels, crossing,
-                         options_, state_);
+        if (media_) crossing.stretch = stretch(x, y);
+        return attenuate(map_.pixel(face_, x, y), map_.info(), crossing, options_,
+                         state_);
+    }
+
+    /// A medium takes from a ray by the length of its way, and what a sample says of that
+    /// was found along the centre ray.
+    [[nodiscard]] double stretch(std::uint32_t x, std::uint32_t y) const {
+        const Projection& p = map_.projection(face_);
+        double centre = 1.0;
+        if (p.kind == ProjectionKind::perspective) {
+            const glm::dvec2 c = (glm::dvec2(x + 0.5, y + 0.5) - p.offset) / p.scale;
+            centre = std::sqrt(1.0 + c.x * c.x + c.y * c.y);
+        }
+        return std::min(length_ / (std::abs(z_.b) * centre), kMostStretch);
     }
 
     const ShadowMap& map_;
     std::uint32_t face_;
     const TraceOptions& options_;
     RayState& state_;
-    double tLeft_ = -HUGE_VAL;  // where the ray left the pixel that it met last
+    bool surfaces_;  // do they count?
+    bool sheets_;    // that let light through: followed a little beyond the bias
+    bool media_;
+    double length_;  // per unit of t, of media
     Linear x_, y_, h_, z_;
 };
 
-/// How many of the n samples at a + j (b - a) / n, j = 1..n, lie in [low, high].
-std::uint32_t samplesWithin(double a, double b, std::uint32_t n, Span span) {
-    const auto [low, high] = span;
-    if (low > b || high <= a) {
-        // Samples that coincide with the layer in front (a = b) are met at that depth.
-        return a == b && low <= b && high >= b ? n : 0;
+/// Where a ray is to be traced, and what is to count there.
+struct Stretch {
+    Interval t;
+    bool surfaces = true;
+};
+
+/// Each face in turn that the ray is in; true if it fell to the threshold.
+bool traceFaces(const ShadowMap& map, const Ray& ray, Stretch stretch,
+                const TraceOptions& options, RayState& state) {
+    std::array<Linear, 6> depth;
+    Interval t = stretch.t;
+    std::uint32_t face = 0;
+    for (std::uint32_t f = 0; f < 6; ++f) {
+        const Projection& p = map.projection(f);
+        depth[f] = {glm::dot(p.forward, ray.origin - p.eye),
+                    glm::dot(p.forward, ray.delta)};
+        if (depth[f].at(t.begin) > depth[face].at(t.begin)) face = f;
     }
-    if (n == 1) return high >= b ? 1 : 0;
-    if (a == b) return n;
-    const double perUnit = n / (b - a);
-    const double first =
-        low <= a ? 1.0 : std::clamp(std::ceil((low - a) * perUnit), 1.0, double(n));
-    const double last = high >= b ? double(n) : std::floor((high - a) * perUnit);
-    return last < first ? 0 : static_cast<std::uint32_t>(last - first) + 1;
+    // The depth in the ray's face is overtaken by one that grows faster, five times at
+    // most.
+    for (;;) {
+        t.end = stretch.t.end;
+        std::uint32_t next = face;
+        for (std::uint32_t f = 0; f < 6; ++f) {
+            const Linear lead = depth[face] - depth[f];
+            if (!(lead.b < 0.0)) continue;
+            const double overtakes = std::max(t.begin, -lead.a / lead.b);
+            if (overtakes < t.end ||
+                (overtakes == t.end && next != face && depth[f].b > depth[next].b)) {
+                t.end = overtakes;
+                next = f;
+            }
+        }
+        if (Traversal(map, face, ray, stretch.surfaces, options, state).run(t))
+            return true;
+        if (next == face) return false;
+        t.begin = t.end;
+        face = next;
+    }
 }
 
-}  // namespace
+bool trace(const ShadowMap& map, const Ray& ray, Stretch stretch,
+           const TraceOptions& options, RayState& state) {
+    if (map.faceCount() > 1) return traceFaces(map, ray, stretch, options, state);
+    return Traversal(map, 0, ray, stretch.surfaces, options, state).run(stretch.t);
+}
 
-bool attenuate(const PixelLayers& pixel, std::uint32_t channels,
-               const PixelCrossing& crossing, const TraceOptions& options,
-               RayState& state) noexcept {
-    const auto around = [&](double low, double high, double reach) {
-        return Span{std::max(low - reach, crossing.counted.low),
-                    std::min(high + reach, crossing.counted.high)};
-    };
+/// How many of the n samples at a + j (b - a) / n, j = 1..n, lie in front of depth z; or
+/// at it, if that is to count.
+std::uint32_t samplesTo(double a, double b, std::uint32_t n, double z, bool including) {
+    if (z > b || (including && z == b)) return n;
+    if (n == 1 || !(z > a)) return 0;  // samples that coincide with the layer in front: b
+    const double steps = (z - a) * (n / (b - a));
+    const double before = including ? std::floor(steps) : std::ceil(steps) - 1.0;
+    return static_cast<std::uint32_t>(std::clamp(before, 0.0, n - 1.0));
+}
+
+std::uint32_t samplesWithin(double a, double b, std::uint32_t n, Span span) {
+    if (span.empty()) return 0;
+    return samplesTo(a, b, n, span.high, true) - samplesTo(a, b, n, span.low, false);
+}
+
+/// A place between depths: just in front of z, or just behind it.
+struct Cut {
+    double z;
+    bool behind;
+};
+bool operator<(Cut a, Cut b) {
+    return a.z < b.z || (a.z == b.z && a.behind < b.behind);
+}
+
+/// The depths that a crossing goes through, without the one at which it ends.
+struct Crossed {
+    Cut low, high;
+    explicit Crossed(const PixelCrossing& c) {
+        const bool away = c.zEnter < c.zExit;
+        low = {std::min(c.zEnter, c.zExit), !away};
+        high = {std::max(c.zEnter, c.zExit), !away};
+        low = std::max(low, Cut{c.counted.low, false});
+        high = std::min(high, Cut{c.counted.high, true});
+    }
+    [[nodiscard]] std::uint32_t samples(double a, double b, std::uint32_t n) const {
+        if (!(low < high)) return 0;
+        return samplesTo(a, b, n, high.z, high.behind) -
+               samplesTo(a, b, n, low.z, low.behind);
+    }
+};
+
+/// A pixel's layers with what their absent planes stand for.
+struct Layers {
+    const PixelLayers& pixel;
+    std::uint32_t channels;
+
+    [[nodiscard]] double v(std::uint32_t i, std::uint32_t c) const {
+        return pixel.v ? pixel.v[c * pixel.vStride + i] : 0.0f;
+    }
+    [[nodiscard]] std::uint32_t n(std::uint32_t i) const {
+        return pixel.n ? pixel.n[i] : 1;
+    }
+    [[nodiscard]] bool isDark(std::uint32_t i) const {
+        for (std::uint32_t c = 0; c < channels; ++c) {
+            if (v(i, c) > 0.0) return false;
+        }
+        return true;
+    }
+    /// The first one that does not lie in front of depth z.
+    [[nodiscard]] std::uint32_t from(double z) const {
+        const float* end = pixel.z + pixel.count;
+        return std::uint32_t(std::lower_bound(pixel.z, end, z,
+                                              [](float layer, double value) {
+                                                  return double(layer) < value;
+                                              }) -
+                             pixel.z);
+    }
+    /// Does accumulation start at 1 in front of layer i?
+    [[nodiscard]] bool startsAt(std::uint32_t i) const { return i == 0 || isDark(i - 1); }
+};
+
+/// Takes `count` of the samples of layer i, the last one of them if `last`; true if the
+/// ray is now at or below the threshold.
+bool take(const Layers& layers, std::uint32_t i, bool restart, std::uint32_t count,
+          bool last, double stretch, const TraceOptions& options, RayState& state) {
+    const double share = double(count) / layers.n(i), power = stretch * share;
+    const bool blocks = last && count > 0 && layers.isDark(i);
+    bool dark = true;
+    for (std::uint32_t c = 0; c < layers.channels; ++c) {
+        const double v = layers.v(i, c), before = restart ? 1.0 : layers.v(i - 1, c);
+        double& remaining = state.visible[c];
+        // Of what ends dark, the last sample is what blocks.
+        if (blocks || (v <= 0.0 && before > 0.0 && last)) {
+            remaining = 0.0;
+        } else if (count == 0 || v >= before) {
+            // Nothing is taken.
+        } else if (options.attenuation == Attenuation::subtract) {
+            remaining = std::max(0.0, remaining - (before - v) * share);  // eq. 3
+        } else if (v > 0.0) {
+            remaining *= power == 1.0 ? v / before : std::pow(v / before, power);
+        }
+        dark = dark && remaining <= options.threshold;
+    }
+    return dark;
+}
+
+Span within(const PixelCrossing& crossing, double low, double high, double reach) {
+    return {std::max(low - reach, crossing.counted.low),
+            std::min(high + reach, crossing.counted.high)};
+}
+
+/// Depths at which the crossing meets a surface.
+Span nearSurfaces(const PixelCrossing& c) {
+    if (!c.surfaces) return {HUGE_VAL, -HUGE_VAL};
+    return within(c, std::min(c.zEnter, c.zExit), std::max(c.zEnter, c.zExit), c.bias);
+}
+
+/// A pixel of nothing but opaque surfaces.
+bool meetSurfaces(const Layers& layers, const PixelCrossing& crossing, RayState& state) {
+    const Span met = nearSurfaces(crossing);
+    state.open = 0;
+    const std::uint32_t i = layers.from(met.low);
+    if (i == layers.pixel.count || layers.pixel.z[i] > met.high) return false;
+    state.visible = {0.0, 0.0, 0.0};
+    return true;
+}
+
+bool meetSheets(const Layers& layers, const PixelCrossing& crossing,
+                const TraceOptions& options, RayState& state) {
     const double zLow = std::min(crossing.zEnter, crossing.zExit);
     const double zHigh = std::max(crossing.zEnter, crossing.zExit);
-    const Span met = around(zLow, zHigh, crossing.bias);
+    const Span met = within(crossing, zLow, zHigh, crossing.bias);
     // A sheet may step by the bias and more from pixel to pixel: the layers that may be
     // those of a sheet already paid for lie within twice the bias of where the ray
     // changes pixels.
     const double step = 2.0 * crossing.bias;
-    const Span entered = around(crossing.zEnter, crossing.zEnter, step);
-    const Span left = around(crossing.zExit, crossing.zExit, step);
-    const Span near = around(zLow, zHigh, step);
-    const auto visibility = [&](std::uint32_t layer, std::uint32_t c) -> double {
-        return pixel.v ? pixel.v[c * pixel.vStride + layer] : 0.0f;
-    };
-    const auto isDark = [&](std::uint32_t layer) {
-        for (std::uint32_t c = 0; c < channels; ++c) {
-            if (visibility(layer, c) > 0.0) return false;
-        }
-        return true;
-    };
+    const Span entered = within(crossing, crossing.zEnter, crossing.zEnter, step);
+    const Span left = within(crossing, crossing.zExit, crossing.zExit, step);
+    const Span near = within(crossing, zLow, zHigh, step);
 
     std::uint64_t paid = state.open;
     state.open = 0;
-    // The first layer that is not wholly in front.
-    const auto begin = std::uint32_t(
-        std::lower_bound(pixel.z, pixel.z + pixel.count, near.low,
-                         [](float z, double value) { return double(z) < value; }) -
-        pixel.z);
-    bool restart = begin == 0 || isDark(begin - 1);
-    for (std::uint32_t i = begin; i < pixel.count; ++i) {
-        const double z = pixel.z[i], zBefore = i > 0 ? pixel.z[i - 1] : z;
+    const std::uint32_t begin = layers.from(near.low);
+    bool restart = layers.startsAt(begin);
+    for (std::uint32_t i = begin; i < layers.pixel.count; ++i) {
+        const double z = layers.pixel.z[i], zBefore = i > 0 ? layers.pixel.z[i - 1] : z;
         if (zBefore > near.high) break;
-        const std::uint32_t n = pixel.n ? pixel.n[i] : 1;
+        const std::uint32_t n = layers.n(i);
         std::uint32_t count = samplesWithin(zBefore, z, n, met);
         const bool last = count > 0 && z <= met.high;  // the sample at z itself is met
-        const bool opaque = isDark(i);
+        const bool opaque = layers.isDark(i);
         if (!opaque) {
             // Samples of sheets that were paid for in the pixel before, met here or not.
             const auto known =
@@ -223,26 +379,46 @@ bool attenuate(const PixelLayers& pixel, std::uint32_t channels,
                                                   samplesWithin(zBefore, z, n, left));
             count -= std::min(count, std::uint32_t(known));
         }
-        const double share = double(count) / n;
-        bool dark = true;
-        for (std::uint32_t c = 0; c < channels; ++c) {
-            const double v = visibility(i, c),
-                         before = restart ? 1.0 : visibility(i - 1, c);
-            double& remaining = state.visible[c];
-            // Of a layer that ends dark, the last sample is what blocks.
-            if (v <= 0.0 && last && count > 0) {
-                remaining = 0.0;
-            } else if (options.attenuation == Attenuation::subtract) {
-                remaining = std::max(0.0, remaining - (before - v) * share);  // eq. 3
-            } else if (count > 0 && v > 0.0 && v < before) {
-                remaining *= count == n ? v / before : std::pow(v / before, share);
-            }
-            dark = dark && remaining <= options.threshold;
-        }
-        if (dark) return true;
+        if (take(layers, i, restart, count, last, 1.0, options, state)) return true;
         restart = opaque;
     }
     return false;
+}
+
+bool meetMedia(const Layers& layers, const PixelCrossing& crossing,
+               const TraceOptions& options, RayState& state) {
+    const Crossed crossed(crossing);
+    const Span surfaces = nearSurfaces(crossing);
+    const double nearest = std::min(crossed.low.z, surfaces.low);
+    const double farthest = std::max(crossed.high.z, surfaces.high);
+    const std::uint32_t begin = layers.from(nearest);
+    bool restart = layers.startsAt(begin);
+    for (std::uint32_t i = begin; i < layers.pixel.count; ++i) {
+        const double z = layers.pixel.z[i], zBefore = i > 0 ? layers.pixel.z[i - 1] : z;
+        if (zBefore > farthest) break;
+        const std::uint32_t n = layers.n(i);
+        const bool dark = layers.isDark(i);
+        const bool surface = dark && n == 1;
+        const std::uint32_t count = surface ? z >= surfaces.low && z <= surfaces.high
+                                            : crossed.samples(zBefore, z, n);
+        const bool last = surface || !(crossed.high < Cut{z, true});
+        if (take(layers, i, restart, count, last, crossing.stretch, options, state))
+            return true;
+        restart = dark;
+    }
+    return false;
+}
+
+}  // namespace
+
+bool attenuate(const PixelLayers& pixel, const MapInfo& info,
+               const PixelCrossing& crossing, const TraceOptions& options,
+               RayState& state) noexcept {
+    const Layers layers{pixel, info.channels};
+    if (!pixel.v && !pixel.n) return meetSurfaces(layers, crossing, state);
+    if (info.translucent == Translucent::media)
+        return meetMedia(layers, crossing, options, state);
+    return meetSheets(layers, crossing, options, state);
 }
 
 Span clipToPlane(const Projection& projection, const ReceiverPlane& plane,
@@ -264,18 +440,40 @@ Span clipToPlane(const Projection& projection, const ReceiverPlane& plane,
     return b > 0.0 ? Span{} : Span{HUGE_VAL, -HUGE_VAL};
 }
 
+std::uint32_t faceOf(const ShadowMap& map, glm::dvec3 point) noexcept {
+    std::uint32_t face = 0;
+    double deepest = -HUGE_VAL;
+    for (std::uint32_t f = 0; f < map.faceCount(); ++f) {
+        const Projection& p = map.projection(f);
+        const double z = glm::dot(p.forward, point - p.eye);
+        if (z > deepest) {
+            deepest = z;
+            face = f;
+        }
+    }
+    return face;
+}
+
 ChannelVisibility traceRay(const ShadowMap& map, const Ray& ray,
                            const TraceOptions& options) noexcept {
     if (ray.delta == glm::dvec3(0.0)) return {1.0f, 1.0f, 1.0f};
     RayState state;
-    for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
-        state.open = 0;
-        if (Traversal(map, face, ray, options, state).run({ray.tBegin, ray.tEnd})) break;
+    Interval t{ray.tBegin, ray.tEnd};
+    if (map.info().translucent == Translucent::media && ray.tSurfaces > t.begin) {
+        const Interval start{t.begin, std::min(ray.tSurfaces, t.end)};
+        trace(map, ray, {start, false}, options, state);
+        t.begin = start.end;
     }
+    trace(map, ray, {t, true}, options, state);
+    return channelsOf(state, map.info().channels, options.threshold);
+}
+
+ChannelVisibility channelsOf(const RayState& state, std::uint32_t channels,
+                             double threshold) noexcept {
     ChannelVisibility result;
     for (std::uint32_t c = 0; c < 3; ++c) {
-        const double v = state.visible[c < map.info().channels ? c : 0];
-        result[c] = v <= options.threshold ? 0.0f : static_cast<float>(v);
+        const double v = state.visible[c < channels ? c : 0];
+        result[c] = v <= threshold ? 0.0f : static_cast<float>(v);
     }
     return result;
 }

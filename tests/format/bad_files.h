@@ -31,7 +31,7 @@ inline const std::map<std::string, BadWords>& badWords() {
           "tile face 0 (0, 0) at offset 576: the content is damaged"}},
         {"unsupported_major_version", {"format version 2.0", "format version 2.0"}},
         {"unsupported_critical_block", {"NEED", "NEED"}},
-        {"unsupported_visibility_rule", {"visibility rule 1", "visibility rule 1"}},
+        {"unsupported_visibility_rule", {"visibility rule 2", "visibility rule 2"}},
         {"bad_prefix_of_nine_faces", {"prefix: 9 faces", "prefix: 9 faces"}},
         {"bad_tile_twice", {"index: tile face 0 (1, 0)", "index: tile face 0 (1, 0)"}},
         {"bad_tile_outside",
@@ -99,7 +99,7 @@ inline std::vector<BadFile> badFiles() {
         s.parts.insert(s.parts.begin() + 1,
                        {{'N', 'E', 'E', 'D'}, kCritical, Bytes(5, 1)});
     });
-    add("unsupported_visibility_rule", [](Surgery& s) { poke(s.payload(kHead), 4, 1u); });
+    add("unsupported_visibility_rule", [](Surgery& s) { poke(s.payload(kHead), 4, 2u); });
     add("bad_prefix_of_nine_faces", [](Surgery& s) { s.prefix.faces = 9; });
     add("bad_tile_twice",
         [](Surgery& s) { s.onIndex = [](Index& i) { i.tiles[1] = i.tiles[0]; }; });

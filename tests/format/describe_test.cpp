@@ -92,6 +92,17 @@ TEST_CASE("describe counts what is in a map that was made by hand", "[format]") 
     CHECK(d->planes[2].storedBytes == 8);
     CHECK(d->planes[3].name == "n");
     CHECK(d->planes[3].storedBytes == 2);
+    CHECK(d->samples == 64 + 1 + 9);
+
+    // Left out: v and n of the opaque tile, and four tiles of counts: 4 x 8, 8 x 2 twice
+    // and 4 x 2 pixels.
+    CHECK(d->planes[0].leftOut == 4);
+    CHECK(d->planes[0].leftOutBytes == 4 * 8 + 2 * 8 * 2 + 4 * 2);
+    CHECK(d->planes[1].leftOut == 0);
+    CHECK(d->planes[2].leftOut == 1);
+    CHECK(d->planes[2].leftOutBytes == 64 * 4);
+    CHECK(d->planes[3].leftOut == 1);
+    CHECK(d->planes[3].leftOutBytes == 64);
 }
 
 TEST_CASE("describe reports a bad file as readMap does", "[format][bad-input]") {

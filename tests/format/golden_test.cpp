@@ -95,7 +95,7 @@ void checkInfo(const json& j, const MapInfo& info) {
     CHECK(j["tileSize"] == info.tileSize);
     CHECK(j["channels"] == info.channels);
     CHECK(j["depthMeaning"] == 0);
-    CHECK(j["visibilityRule"] == 0);
+    CHECK(j["visibilityRule"] == unsigned(info.translucent));
     const json& light = j["light"];
     CHECK(light["shape"] == unsigned(info.light.shape));
     CHECK(same(light["position"], info.light.position));

@@ -186,6 +186,28 @@ inline Golden codecNone() {
     return {"codec_none", transparentMap(), Codec::none};
 }
 
+/// Hair and smoke in front of a wall: the visibility rule of media. With a wall behind
+/// what lets light through, runs of several samples, one that ends dark, layers that take
+/// nothing.
+inline Golden media() {
+    MapInfo info = goldenInfo(12, 10, 8);
+    info.translucent = Translucent::media;
+    info.biasPerDepth = 0.00390625f;
+    Numbers numbers(17);
+    return {"media", goldenMap(info, {goldenProjection(info)}, [&](auto, auto x, auto y) {
+                Pixel p;
+                float z = 2.0f, v = 1.0f;
+                for (std::uint32_t i = numbers.below(5); i > 0; --i) {
+                    z += float(1 + numbers.below(256)) / 128.0f;
+                    v *= float(48 + numbers.below(17)) / 64.0f;
+                    p.push_back({z, {v}, 1 + numbers.below(9)});
+                }
+                if ((x + y) % 3 == 0) p.push_back({z + 0.5f, {0.0f}, 7});
+                if (y > 4) p.push_back({20.0f + float(x) / 8.0f, {0.0f}, 1});
+                return p;
+            })};
+}
+
 /// A cube of views around a light that lies within the casters.
 inline Golden sixFaces() {
     MapInfo info = goldenInfo(8, 8, 8);
@@ -306,6 +328,7 @@ inline std::vector<Golden> goldenMaps() {
     all.push_back(opaque());
     all.push_back(transparentResets());
     all.push_back(codecNone());
+    all.push_back(media());
     all.push_back(sixFaces());
     all.push_back(threeChannels());
     all.push_back(oddSize());

@@ -134,4 +134,7 @@ TEST_CASE("grey levels run from black to white and clamp beyond", "[io][png]") {
           std::vector<std::uint8_t>{255, 128, 0});
     CHECK(greyImage(3, 1, {1, 2, 3}, 2, 2).values ==
           std::vector<std::uint8_t>{0, 0, 255});
+    const ByteImage color = colorImage(2, 1, {0, 1}, {0.5f, 0}, {1, 3}, 0, 1);
+    CHECK(color.channels == 3);
+    CHECK(color.values == std::vector<std::uint8_t>{0, 128, 255, 255, 0, 255});
 }

@@ -46,7 +46,8 @@ TEST_CASE("an image of a map shows each pixel's layers", "[io][plot]") {
     for (std::uint32_t face : {0u, 5u}) {
         const auto values = [&](MapChannel c) {
             FloatImage image = mapImage(map, face, c);
-            REQUIRE(image.channels.size() == 1);
+            const bool colored = channels == 3 && c == MapChannel::visibility;
+            REQUIRE(image.channels.size() == (colored ? 4 : 1));
             CHECK(image.channels[0].name == name(c));
             REQUIRE(image.channels[0].values.size() == 37 * 21);
             return image.channels[0].values;
@@ -54,6 +55,7 @@ TEST_CASE("an image of a map shows each pixel's layers", "[io][plot]") {
         const auto layers = values(MapChannel::layers), zmin = values(MapChannel::zmin),
                    zmax = values(MapChannel::zmax), left = values(MapChannel::visibility),
                    count = values(MapChannel::count);
+        const FloatImage colors = mapImage(map, face, MapChannel::visibility);
         std::size_t i = 0;
         for (std::uint32_t y = 0; y < 21; ++y) {
             for (std::uint32_t x = 0; x < 37; ++x, ++i) {
@@ -74,6 +76,8 @@ TEST_CASE("an image of a map shows each pixel's layers", "[io][plot]") {
                 for (double value : v)
                     mean += value / channels;
                 REQUIRE(left[i] == Approx(mean).margin(1e-6));
+                for (std::size_t c = 0; channels == 3 && c < 3; ++c)
+                    REQUIRE(double(colors.channels[1 + c].values[i]) == v[c]);
                 REQUIRE(count[i] == Approx(samples));
                 REQUIRE(double(zmin[i]) == near);
                 REQUIRE(double(zmax[i]) == far);

@@ -3,6 +3,7 @@
 
 #include <oneapi/tbb/global_control.h>
 #include <oneapi/tbb/task_arena.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -116,6 +117,19 @@ void print(const std::string& text) {
     const bool good = std::fwrite(text.data(), 1, text.size(), stdout) == text.size() &&
                       std::fflush(stdout) == 0;
     if (!good) failOutput("standard output", std::strerror(errno ? errno : EIO));
+}
+
+std::uint64_t halfOfMemory() {
+    constexpr std::uint64_t kUnknown = std::uint64_t(8) << 30;
+    const long pages = ::sysconf(_SC_PHYS_PAGES), bytes = ::sysconf(_SC_PAGESIZE);
+    return pages > 0 && bytes > 0 ? std::uint64_t(pages) * std::uint64_t(bytes) / 2
+                                  : kUnknown;
+}
+
+std::uint64_t peakMemory() {
+    rusage usage{};
+    return ::getrusage(RUSAGE_SELF, &usage) == 0 ? std::uint64_t(usage.ru_maxrss) * 1024
+                                                 : 0;
 }
 
 std::string extension(const std::string& path) {

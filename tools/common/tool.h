@@ -50,6 +50,11 @@ void checkOutput(const std::string& path, const std::vector<std::string>& inputs
 /// Writes to stdout; a failure (full disk, closed pipe) is thrown.
 void print(const std::string& text);
 
+/// Half of the machine's memory: what a bake may take unless told otherwise.
+[[nodiscard]] std::uint64_t halfOfMemory();
+/// The most memory that this process has held at any time.
+[[nodiscard]] std::uint64_t peakMemory();
+
 /// The file name's extension in lower case, with its dot: ".exr".
 [[nodiscard]] std::string extension(const std::string& path);
 

@@ -28,10 +28,15 @@ struct Description {
         std::string name;  ///< "counts", "z", "v" or "n"
         std::uint64_t planes = 0, constant = 0, raw = 0, compressed = 0;  ///< by encoding
         std::uint64_t storedBytes = 0, decodedBytes = 0;
+        /// Planes that are not in the file because they say nothing (tiles without layers
+        /// or with opaque ones only, layers of one sample each), and what they would take
+        /// as they are.
+        std::uint64_t leftOut = 0, leftOutBytes = 0;
     };
     std::vector<Plane> planes;
     std::uint64_t tiles = 0, emptyTiles = 0, opaqueTiles = 0;
     std::uint64_t pixels = 0, emptyPixels = 0, layers = 0;
+    std::uint64_t samples = 0;     ///< that the layers stand for
     std::uint32_t mostLayers = 0;  ///< in one pixel
     std::vector<std::uint64_t>
         layerHistogram;  ///< [i]: pixels with i layers; last entry: mostLayers

@@ -60,4 +60,11 @@ Status writeImagePng(const std::string& path, const ByteImage& image);
                                   const std::vector<float>& values, float black,
                                   float white);
 
+/// The same in colour.
+[[nodiscard]] ByteImage colorImage(std::uint32_t width, std::uint32_t height,
+                                   const std::vector<float>& red,
+                                   const std::vector<float>& green,
+                                   const std::vector<float>& blue, float black,
+                                   float white);
+
 }  // namespace mtsm

@@ -34,6 +34,17 @@ namespace mtsm {
 
 enum class ProjectionKind : std::uint32_t { perspective = 0, orthographic = 1 };
 
+/// What layers that let light through stand for; opaque ones are surfaces in either.
+enum class Translucent : std::uint32_t {
+    /// Samples of smooth sheets (glass, cards): met within the bias, and those that a ray
+    /// has paid for where it changes pixels are not paid for again.
+    sheets = 0,
+    /// Hair and volumes, whose samples in neighbouring pixels have nothing to do with
+    /// each other: met where the ray crosses their depth, and nowhere else. Opaque are
+    /// then layers of one sample (n = 1) that are dark (v = 0 in every channel).
+    media = 1
+};
+
 /// World <-> light <-> raster for one face.
 struct Projection {
     ProjectionKind kind = ProjectionKind::perspective;
@@ -108,9 +119,11 @@ struct MapInfo {
     std::uint32_t channels = 1;  ///< visibility channels: 1, or 3 for coloured visibility
     AreaLight light;             ///< what the map was baked for
     /// z threshold, world units: a layer at depth z is met within bias + biasPerDepth * z
-    /// of z. The first is a constant; the second grows as a pixel's footprint does.
+    /// of z. The first is a constant; the second grows as a pixel's footprint does. See
+    /// `translucent` for what it holds for.
     float bias = 0.0f;
     float biasPerDepth = 0.0f;
+    Translucent translucent = Translucent::sheets;
     std::uint32_t maxLayers = 0;  ///< cap per pixel that was asked for; 0: none
     std::uint32_t resets = 0;     ///< times that accumulation may restart; see kAllResets
     float toleranceAsked = 0.0f;  ///< bound on |V - V'| that was asked for; 0: lossless
@@ -129,7 +142,10 @@ inline constexpr std::uint32_t kMaxResolution = 32768;      ///< pixels per side
 inline constexpr std::uint32_t kMaxPixelLayers = 1u << 20;  ///< layers in one pixel
 inline constexpr std::uint32_t kAllResets = 0xffffffffu;    ///< MapInfo::resets: no bound
 
-/// One view: its projection and its tiles, row-major, ceil(width / tileSize) in a row.
+/// One view: its projection and its tiles, row-major, ceil(width / tileSize) in a row. Of
+/// six, a point belongs to the one in which its depth is greatest (to the first of
+/// several that are level): six windows of 90 degrees along the axes of a cube share out
+/// all of space so. What lies outside its face's window is not in the map.
 struct MapFace {
     Projection projection;
     std::vector<Tile> tiles;

@@ -26,8 +26,8 @@ enum class MapChannel {
 /// The channel's name as tools spell it.
 [[nodiscard]] const char* name(MapChannel channel) noexcept;
 
-/// One face of a map as an image with one channel of that name. `face` must be one of the
-/// map's.
+/// One face of a map as an image with one channel of that name, and R, G and B behind it
+/// where visibility is coloured. `face` must be one of the map's.
 [[nodiscard]] FloatImage mapImage(const ShadowMap& map, std::uint32_t face,
                                   MapChannel channel);
 

@@ -16,6 +16,13 @@
 // away from the receiver, so that its own surface does not darken it. With a normal they
 // start at the receiver, and what lies on its tangent plane does not count.
 //
+// In a map of media (MapInfo::translucent) that holds for opaque surfaces. Hair and
+// volumes are met at exact crossings, and without a normal from one pixel footprint away
+// from the receiver on; with one, the tangent plane is theirs as well.
+//
+// Colour: functions whose name ends in Color give each visibility channel of the map
+// (red, green, blue; a map of one channel gives it three times), all others their mean.
+//
 // Points that are not finite are lit. A point on or behind the plane of a one-sided light
 // (disk, rect) receives nothing from it: that is not shadow, so it counts as lit and
 // QueryStats says how many there were.
@@ -32,8 +39,11 @@ namespace mtsm {
 
 enum class ShadowMethod {
     trace,  ///< rays through the map [Xie07, sec. 4.3, 5.2]
-    pcf     ///< percentage-closer filtering, size from eq. 1 [Xie07, sec. 3]: for small
-            ///< lights
+    /// Percentage-closer filtering, size from eq. 1 [Xie07, sec. 3]: for small lights. Of
+    /// a transparent map it filters the visibility at the receiver's depth, the product
+    /// over all samples in front of it on the centre ray, as a deep shadow map does. With
+    /// six faces a filter reaches over their edges.
+    pcf
 };
 enum class Weight {
     uniform,  ///< the plain mean over the light's area
@@ -81,12 +91,24 @@ struct QueryStats {
                                  glm::dvec3 point, glm::dvec3 normal = glm::dvec3(0.0),
                                  const ShadowOptions& options = {}) noexcept;
 
+/// The same for each channel.
+[[nodiscard]] glm::vec3 shadowFactorColor(const ShadowMap& map, const AreaLight& light,
+                                          glm::dvec3 point,
+                                          glm::dvec3 normal = glm::dvec3(0.0),
+                                          const ShadowOptions& options = {}) noexcept;
+
 /// The same for `count` points: out[i] for points[i] and normals[i] (normals may be
 /// null). Runs in the caller's oneTBB arena; `stats` may be null.
 void shadowFactors(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
                    const glm::dvec3* normals, std::size_t count, float* out,
                    const ShadowOptions& options = {},
                    QueryStats* stats = nullptr) noexcept;
+
+void shadowFactorsColor(const ShadowMap& map, const AreaLight& light,
+                        const glm::dvec3* points, const glm::dvec3* normals,
+                        std::size_t count, glm::vec3* out,
+                        const ShadowOptions& options = {},
+                        QueryStats* stats = nullptr) noexcept;
 
 /// A shadow ray: from `origin`, `length` along the unit vector `direction`, or without
 /// end if length is infinite.
@@ -107,9 +129,14 @@ struct RayOptions {
 /// off it. A ray of no length, or one that is not finite, is clear.
 [[nodiscard]] float visibility(const ShadowMap& map, const ShadowRay& ray,
                                const RayOptions& options = {}) noexcept;
+/// The same for each channel.
+[[nodiscard]] glm::vec3 visibilityColor(const ShadowMap& map, const ShadowRay& ray,
+                                        const RayOptions& options = {}) noexcept;
 
 /// The same for `count` rays, in the caller's oneTBB arena.
 void visibilities(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
                   float* out, const RayOptions& options = {}) noexcept;
+void visibilitiesColor(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
+                       glm::vec3* out, const RayOptions& options = {}) noexcept;
 
 }  // namespace mtsm

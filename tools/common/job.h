@@ -1,0 +1,57 @@
+// job.h - job files: a command line written down, with settings for each caster.
+//
+//     output = "key.mtsm"
+//
+//     [light]
+//     radius = 0.3                 # --light-radius
+//     position = [2, 5, 3]
+//
+//     [map]
+//     resolution = [2048, 1024]
+//     tolerance = 0.01             # --tolerance
+//
+//     [[caster]]
+//     file = "fur.hair"
+//     hair-width = 0.002
+//     translate = [0, 1, 0]
+//
+// TOML 1.0. Keys are the names of the command line's options: in [light] without their
+// "light-", in [map] those that shape the map, in [[caster]] those of the file's kind,
+// and at the top what says how the work is done. Paths are relative to the job file. What
+// is wrong with a job is one sentence with file:line:column, what was found, what was
+// expected, and the key that was meant where one is near.
+#pragma once
+#include <CLI/CLI.hpp>
+#include <string>
+#include <vector>
+
+#include "mtsm/caster_files.h"
+#include "mtsm/result.h"
+
+namespace mtsm::tools {
+
+/// A key that stands for an option of the command line.
+struct JobSetting {
+    std::string option;  ///< "--light-radius"
+    std::string key;     ///< "light.radius"
+    std::string value;   ///< as the command line spells it; of a flag "true"
+    std::string place;   ///< "job.toml:12:1"
+};
+
+struct Job {
+    std::vector<CasterFile> casters;  ///< at least one; each has passed checkCaster()
+    std::vector<JobSetting> settings;
+};
+
+/// Errors: io (the job or a caster's file is not there), badFile.
+Result<Job> readJob(const std::string& path);
+
+/// Gives the options of `app` what the job says. Options that the command line gave, and
+/// those that it excludes, stay as they are; settings that `app` has no option for are
+/// passed over. A value that the option refuses is a Failure (badFile) at its place.
+void applyJob(const Job& job, CLI::App& app);
+
+/// A caster and the settings that differ from the default, as a map remembers them.
+[[nodiscard]] std::string casterText(const CasterFile& caster);
+
+}  // namespace mtsm::tools
