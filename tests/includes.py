@@ -11,6 +11,7 @@ import sys
 MAY_INCLUDE = {
     "base": set(),
     "map": {"base"},
+    "compress": {"base", "map"},
     "light": {"base"},
     "scene": {"base"},
     "raster": {"base", "map", "scene"},

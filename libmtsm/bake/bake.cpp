@@ -1,61 +1,44 @@
-// bake(): placement, rasterising, layers, map.
+// bake(): placement, the faces, the map.
 #include "mtsm/bake.h"
 
 #include <algorithm>
+#include <bit>
 #include <exception>
 #include <limits>
 #include <new>
 
-#include "bake/layers.h"
+#include "bake/face.h"
 #include "bake/placement.h"
 #include "bake/visits.h"
 #include "base/message.h"
-#include "base/parallel.h"
 #include "base/utf8.h"
 #include "raster/kbuffer.h"
-#include "raster/memory_budget.h"
-#include "raster/rasteriser.h"
 
 namespace mtsm {
 namespace {
 
+using bake_detail::CasterKinds;
+using bake_detail::Face;
+using bake_detail::FaceSettings;
 using bake_detail::Placement;
 using bake_detail::Progress;
+using bake_detail::tooLarge;
 using bake_detail::Visits;
 using base::makeError;
-using raster::KBuffer;
-using raster::KTile;
-using raster::MemoryBudget;
-using raster::Rasteriser;
 
 /// The default z threshold, in footprints of a pixel.
 constexpr double kBiasFootprints = 1.0;
+/// Layers of opaque casters unless asked otherwise [Xie07, sec. 7].
+constexpr std::uint32_t kOpaqueLayers = 5;
+constexpr std::uint32_t kMostNearest = 64;  ///< layers that a k-buffer holds
+constexpr std::uint32_t kTileSize = raster::KBuffer::kTileSize;
 
-Error tooLarge(const BakeOptions& o) {
-    return makeError(
-        ErrorCode::tooLarge, "a map of ", o.width, " x ", o.height, " pixels with up to ",
-        o.layers.value_or(5), " layers needs more than the ", o.maxBytes,
-        " bytes of --max-memory: raise it, or lower ", "--resolution or --layers");
-}
-
-raster::Facing facing(Cull cull) {
-    switch (cull) {
-        case Cull::none:
-            break;
-        case Cull::back:
-            return raster::Facing::front;
-        case Cull::front:
-            return raster::Facing::back;
-    }
-    return raster::Facing::any;
-}
-
-/// Bytes that are needed whatever the casters are: tiles, and the map's hierarchy.
+/// Bytes that a face needs whatever the casters are: tiles, and the map's hierarchy.
 std::uint64_t fixedBytes(const BakeOptions& o) {
-    const std::uint64_t side = KBuffer::kTileSize;
+    const std::uint64_t side = kTileSize;
     const std::uint64_t tiles =
         ((o.width + side - 1) / side) * ((o.height + side - 1) / side);
-    std::uint64_t bytes = tiles * (sizeof(Tile) + sizeof(KTile));
+    std::uint64_t bytes = tiles * (sizeof(Tile) + sizeof(raster::KTile));
     std::uint64_t width = o.width, height = o.height;
     while (width > 1 || height > 1) {
         width = (width + 1) / 2;
@@ -63,75 +46,6 @@ std::uint64_t fixedBytes(const BakeOptions& o) {
         bytes += width * height * sizeof(ZRange);
     }
     return bytes;
-}
-
-/// Rasterises all casters. The report is complete but for its times.
-Status rasterise(Visits& visits, const Placement& placed, const BakeOptions& options,
-                 const MemoryBudget& budget, KBuffer& buffer, MapInfo& info,
-                 BakeReport& report) {
-    const Progress& progress = visits.progress();
-    const auto tell = [&](std::uint64_t done) {
-        const double all = double(placed.triangles);
-        return progress("rasterising", all > 0.0 ? double(done) / all : -1.0);
-    };
-    Rasteriser rasteriser(placed.projection, facing(options.cull), buffer,
-                          [&](std::uint64_t done) -> Status {
-                              if (budget.exceeded()) return tooLarge(options);
-                              return tell(done + report.transparent);
-                          });
-    if (auto s = tell(0); !s) return s;
-    const auto status = visits.each(meshesOnly([&](const MeshView& mesh) -> Status {
-        ++report.meshes;
-        report.triangles += mesh.triangleCount;
-        if (mesh.opacity > 0.0f) return rasteriser.add(mesh);
-        report.transparent += mesh.triangleCount;
-        return {};
-    }));
-    if (!status) return status;
-    if (auto s = rasteriser.finish(); !s) return s;
-
-    const raster::TriangleCounts& counts = rasteriser.counts();
-    report.degenerate = counts.degenerate;
-    report.nonFinite = counts.nonFinite;
-    report.culled = counts.culled;
-    report.outside = counts.outside;
-    report.clipped = counts.clipped;
-    info.castersClipped = counts.leavesWindow > 0;
-    const std::uint64_t usable = report.triangles - report.transparent -
-                                 counts.degenerate - counts.nonFinite - counts.culled;
-    if (usable > 0 && usable == counts.behind)
-        return makeError(ErrorCode::badArgument,
-                         "every caster lies behind the light as it ",
-                         "is aimed, or in front of --near: move it, or turn it with ",
-                         "--light-target or --light-direction");
-    if (usable == counts.outside) return bake_detail::nothingCasts(report);
-    return {};
-}
-
-/// Turns the buffer into tiles, emptying it, and counts its samples.
-Result<std::vector<Tile>> takeLayers(KBuffer& buffer, const Progress& progress,
-                                     MapInfo& info) {
-    constexpr const char* kStage = "building map";
-    std::vector<KTile>& from = buffer.tiles();
-    std::vector<Tile> tiles(from.size());
-    std::vector<std::uint64_t> samples(from.size()), dropped(from.size());
-    const std::size_t row = buffer.tilesX();
-    for (std::size_t first = 0; first < from.size(); first += row) {
-        if (auto s = progress(kStage, double(first) / double(from.size())); !s)
-            return s.error();
-        base::parallelFor(first, first + row, [&](std::size_t i) {
-            tiles[i] = bake_detail::layersOf(from[i]);
-            samples[i] = from[i].samples();
-            dropped[i] = samples[i] - tiles[i].z.size() - from[i].copies();
-            from[i].clear();
-        });
-        for (std::size_t i = first; i < first + row; ++i) {
-            info.samples += samples[i];
-            info.samplesDropped += dropped[i];
-        }
-    }
-    if (auto s = progress(kStage, 1.0); !s) return s.error();
-    return tiles;
 }
 
 /// The z threshold: as asked, or a pixel's footprint at a layer's depth.
@@ -147,43 +61,104 @@ void setBias(const BakeOptions& options, const Projection& projection, MapInfo& 
         info.bias = byPixel;
 }
 
-MapInfo describe(const BakeOptions& options, const Placement& placed) {
+MapInfo describe(const BakeOptions& options, const Placement& placed,
+                 const CasterKinds& kinds, const FaceSettings& settings) {
     MapInfo info;
     info.width = options.width;
     info.height = options.height;
-    info.tileSize = KBuffer::kTileSize;
+    info.tileSize = kTileSize;
+    info.channels = settings.channels;
     info.light = placed.light;
-    info.maxLayers = options.layers.value_or(5);
-    info.resets = kAllResets;
+    info.translucent = kinds.media ? Translucent::media : Translucent::sheets;
+    info.maxLayers = settings.layers;
+    info.resets = options.resets;
+    info.toleranceAsked = options.tolerance;
     info.software = "libmtsm " MTSM_VERSION;
     info.settings = base::asUtf8(options.settings);
+    setBias(options, placed.projection, info);
     return info;
+}
+
+/// What was met in one face, added to what was met in the others.
+void add(const Face& face, bool first, MapInfo& info, BakeReport& report) {
+    info.samples += face.samples;
+    info.samplesDropped += face.samplesDropped;
+    info.toleranceReached =
+        std::max(info.toleranceReached, face.compression.toleranceReached);
+    report.droppedByLayers += face.samplesDropped - face.compression.droppedByResets;
+    report.droppedByResets += face.compression.droppedByResets;
+    report.pixelsOverTolerance += face.compression.pixelsOverTolerance;
+    report.rasterSeconds += face.rasterSeconds;
+    report.compressSeconds += face.compressSeconds;
+    report.passes = first ? face.passes : report.passes + face.passes;
+    report.voxels += face.casters.voxels;
+    if (!first) return;
+    report.meshes = face.casters.meshes;
+    report.triangles = face.casters.triangles;
+    report.transparent = face.casters.transparent;
+    report.strands = face.casters.strands;
+    report.segments = face.casters.segments;
+    report.volumes = face.casters.volumes;
+    report.degenerate = face.triangles.degenerate;
+    report.nonFinite = face.triangles.nonFinite;
+    report.culled = face.triangles.culled;
+}
+
+/// Of a map with one face: what lies outside of it casts nothing.
+Status checkOutside(const Face& face, MapInfo& info, BakeReport& report) {
+    report.outside = face.triangles.outside;
+    report.clipped = face.triangles.clipped;
+    info.castersClipped = face.leavesWindow > 0;
+    if (face.samples > 0 || report.strands > 0 || report.volumes > 0) return {};
+    const std::uint64_t usable = report.triangles - report.transparent -
+                                 report.degenerate - report.nonFinite - report.culled;
+    if (usable > 0 && usable == face.triangles.behind)
+        return makeError(ErrorCode::badArgument,
+                         "every caster lies behind the light as it ",
+                         "is aimed, or in front of --near: move it, or turn it with ",
+                         "--light-target or --light-direction");
+    if (usable == report.outside) return bake_detail::nothingCasts(report);
+    return {};
 }
 
 Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
     if (auto s = bake_detail::checkOptions(options); !s) return s.error();
-    MemoryBudget budget(options.maxBytes);
-    if (!budget.reserve(fixedBytes(options))) return tooLarge(options);
+    const std::uint64_t fixed = fixedBytes(options) * (options.cube ? 6 : 1);
+    if (fixed > options.maxBytes) return tooLarge(options);
 
     const Progress progress(options);
     Visits visits(casters, progress);
-    auto placed = bake_detail::place(visits, options);
+    const auto placed = bake_detail::place(visits, options);
     if (!placed) return placed.error();
+    const auto kinds = bake_detail::kindsOf(visits);
+    if (!kinds) return kinds.error();
 
-    MapInfo info = describe(options, *placed);
+    FaceSettings settings{options};
+    settings.triangles = placed->triangles;
+    settings.channels = options.color ? 3 : 1;
+    settings.layers = options.layers.value_or(kinds->translucent ? 0 : kOpaqueLayers);
+    settings.bytesLeft = options.maxBytes - fixed;
+    const bool nearest =
+        !kinds->translucent && options.subsamples == 1 && settings.layers <= kMostNearest;
+    MapInfo info = describe(options, *placed, *kinds, settings);
     BakeReport report;
-    KBuffer buffer(options.width, options.height, options.layers.value_or(5), budget);
-    if (auto s = rasterise(visits, *placed, options, budget, buffer, info, report); !s)
-        return s.error();
+    std::vector<MapFace> faces;
+    for (const Projection& projection : {placed->projection}) {
+        auto face = nearest ? bake_detail::bakeNearest(visits, projection, settings)
+                            : bake_detail::bakeSamples(visits, projection, settings);
+        if (!face) return face.error();
+        add(*face, faces.empty(), info, report);
+        if (!options.cube) {
+            if (auto s = checkOutside(*face, info, report); !s) return s.error();
+        }
+        std::uint64_t bytes = 0;
+        for (const Tile& tile : face->tiles)
+            bytes += bake_detail::bytesOf(tile);
+        if (bytes >= settings.bytesLeft) return tooLarge(options);
+        settings.bytesLeft -= bytes;
+        faces.push_back({projection, std::move(face->tiles)});
+    }
     report.readSeconds = visits.readSeconds();
-    report.rasterSeconds = visits.visitorSeconds();
-
-    auto tiles = takeLayers(buffer, progress, info);
-    if (!tiles) return tiles.error();
-    setBias(options, placed->projection, info);
-    std::vector<MapFace> faces(1);
-    faces[0].projection = placed->projection;
-    faces[0].tiles = *std::move(tiles);
     auto map = ShadowMap::create(std::move(info), std::move(faces));
     if (!map) return map.error();
     return Baked{*std::move(map), report};

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <glm/common.hpp>
 #include <glm/geometric.hpp>
+#include <glm/mat3x3.hpp>
+#include <glm/matrix.hpp>
 #include <vector>
 
 #include "base/parallel.h"
@@ -98,6 +100,90 @@ Extent measureMesh(const MeshView& mesh, const Projection& frame, const Depths& 
     return extent;
 }
 
+/// A convex polygon's part between the depths.
+void addPolygon(const raster::Polygon& polygon, const Depths& depths, Extent& extent) {
+    double nearest = HUGE_VAL;
+    for (std::size_t i = 0; i < polygon.size; ++i)
+        nearest = std::min(nearest, polygon.corner[i].z);
+    if (nearest < depths.near) ++extent.cut;
+    const raster::Polygon kept = raster::clipDepth(polygon, depths.near, depths.far);
+    if (kept.size == 0) ++extent.outside;
+    for (std::size_t i = 0; i < kept.size; ++i)
+        extent.include(kept.corner[i], depths.perspective);
+}
+
+/// Segment by segment, as wide as the strand is there.
+Extent measureStrands(const StrandsView& view, const Projection& frame,
+                      const Depths& depths) {
+    const LightFromObject lightFromObject(frame, view.worldFromObject);
+    const double scale =
+        std::cbrt(std::abs(glm::determinant(glm::dmat3(view.worldFromObject))));
+    Extent extent;
+    for (std::size_t s = 0; s < view.strandCount; ++s) {
+        for (std::uint32_t i = view.begin[s]; i + 1 < view.begin[s + 1]; ++i) {
+            const glm::dvec3 a = lightFromObject(view.points[i]),
+                             b = lightFromObject(view.points[i + 1]);
+            if (!(usable(a) && usable(b))) continue;
+            const double width =
+                view.widths ? std::max(view.widths[i], view.widths[i + 1]) : view.width;
+            const glm::dvec3 side(0.5 * scale * width, 0.5 * scale * width, 0.0);
+            const glm::dvec3 other(side.x, -side.y, 0.0);
+            if (!(width > 0.0 && std::isfinite(side.x))) continue;
+            for (const glm::dvec3 d : {side, other}) {
+                raster::Polygon ribbon;
+                for (const glm::dvec3 p : {a - d, a + d, b + d, b - d})
+                    ribbon.add(p);
+                addPolygon(ribbon, depths, extent);
+            }
+        }
+    }
+    return extent;
+}
+
+/// The boxes of the blocks, face by face.
+Extent measureVolume(const VolumeView& view, const Projection& frame,
+                     const Depths& depths) {
+    const LightFromObject lightFromIndex(frame, view.worldFromIndex);
+    constexpr int kFaces[6][4] = {{0, 1, 3, 2}, {4, 5, 7, 6}, {0, 1, 5, 4},
+                                  {2, 3, 7, 6}, {0, 2, 6, 4}, {1, 3, 7, 5}};
+    Extent extent;
+    for (std::size_t i = 0; i < view.blockCount; ++i) {
+        glm::dvec3 corner[8];
+        bool finite = true;
+        for (int c = 0; c < 8; ++c) {
+            const glm::ivec3 at(c & 1, c >> 1 & 1, c >> 2);
+            corner[c] = lightFromIndex(
+                glm::vec3(view.blocks[i] + at * VolumeView::kBlockSide) - 0.5f);
+            finite = finite && usable(corner[c]);
+        }
+        if (!finite) continue;
+        for (const auto& face : kFaces) {
+            raster::Polygon polygon;
+            for (const int c : face)
+                polygon.add(corner[c]);
+            addPolygon(polygon, depths, extent);
+        }
+    }
+    return extent;
+}
+
+/// Adds what a caster reaches, if it can cast.
+void addCaster(const CasterView& caster, const Projection& frame, const Depths& depths,
+               Extent& extent) {
+    if (const auto* mesh = std::get_if<MeshView>(&caster)) {
+        ++extent.meshes;
+        extent.triangles += mesh->triangleCount;
+        if (mesh->opacity == 0.0f && !mesh->texture)
+            extent.transparent += mesh->triangleCount;
+        else
+            extent.add(measureMesh(*mesh, frame, depths));
+    } else if (const auto* strands = std::get_if<StrandsView>(&caster)) {
+        extent.add(measureStrands(*strands, frame, depths));
+    } else if (const auto* volume = std::get_if<VolumeView>(&caster)) {
+        extent.add(measureVolume(*volume, frame, depths));
+    }
+}
+
 }  // namespace
 
 void Extent::include(glm::dvec3 p, bool perspective) noexcept {
@@ -127,16 +213,11 @@ void Extent::add(const Extent& other) noexcept {
 Result<Extent> measure(Visits& visits, const Projection& frame, double near, double far) {
     const Depths depths{near, far, frame.kind == ProjectionKind::perspective};
     Extent extent;
-    const Status status = visits.each(meshesOnly([&](const MeshView& mesh) -> Status {
+    const Status status = visits.each([&](const CasterView& caster) -> Status {
         if (auto s = visits.progress()("reading casters", -1.0); !s) return s;
-        ++extent.meshes;
-        extent.triangles += mesh.triangleCount;
-        if (mesh.opacity == 0.0f)
-            extent.transparent += mesh.triangleCount;
-        else
-            extent.add(measureMesh(mesh, frame, depths));
+        addCaster(caster, frame, depths, extent);
         return {};
-    }));
+    });
     if (!status) return status.error();
     // Which of -0 and 0 was met first depends on the order of the triangles.
     for (glm::dvec3* p : {&extent.min, &extent.max})

@@ -1,7 +1,8 @@
 // measure.h - how far the casters reach, in any frame.
 //
-// One pass over all triangles that can cast: finite, with area, not transparent, the part
-// between two depths. Costs about as much as transforming the corners.
+// One pass over all that can cast: triangles that are finite, have an area and are not
+// transparent, strands with their widths, the blocks of volumes; of each the part between
+// two depths. Costs about as much as transforming the corners.
 #pragma once
 #include <cstdint>
 #include <glm/vec2.hpp>
@@ -23,12 +24,13 @@ struct Extent {
     double radius2 = 0.0;  ///< largest square of the distance from the axis, there
     std::uint64_t meshes = 0, triangles = 0;
     std::uint64_t nonFinite = 0, degenerate = 0, transparent = 0;
-    std::uint64_t outside = 0;  ///< wholly in front of near or behind far
-    std::uint64_t cut = 0;      ///< reach in front of near, wholly or in part
+    /// Triangles, segments and blocks wholly in front of near or behind far.
+    std::uint64_t outside = 0;
+    std::uint64_t cut = 0;  ///< of those that reach in front of near, wholly or in part
 
-    /// True if no triangle reaches between near and far.
+    /// True if nothing reaches between near and far.
     [[nodiscard]] bool empty() const noexcept { return !(min.x <= max.x); }
-    /// True if some triangle could cast, wherever it is.
+    /// True if something could cast, wherever it is.
     [[nodiscard]] bool usable() const noexcept { return !empty() || outside > 0; }
     void add(const Extent& other) noexcept;
     void include(glm::dvec3 p, bool perspective) noexcept;

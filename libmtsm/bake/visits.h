@@ -22,8 +22,8 @@ class Visits {
     Visits(CasterSource& casters, const Progress& progress)
         : casters_(casters), progress_(progress) {}
 
-    /// Hands every caster to `visitor`, after checking what scene.h promises of it: indices
-    /// below the vertex count, an opacity in [0, 1] (badArgument if not). Exceptions that
+    /// Hands every caster to `visitor`, after checking what scene.h promises of it
+    /// (badArgument if not): indices, opacities, widths, densities. Exceptions that
     /// `visitor` throws come back as thrown, but do not pass through the source.
     Status each(const CasterVisitor& visitor);
 

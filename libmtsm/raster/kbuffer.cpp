@@ -14,33 +14,6 @@ bool KTile::allocate() {
     return true;
 }
 
-bool KTile::allocateOpacity() {
-    const std::size_t size = std::size_t(pixels_) * layers_;
-    if (!budget_->reserve(size * sizeof(float))) return false;
-    opacity_.reset(new float[size]);
-    std::fill_n(opacity_.get(), size, 1.0f);
-    return true;
-}
-
-void KTile::insertTranslucent(std::uint32_t pixel, float z, float opacity) {
-    if (!opacity_ && !allocateOpacity()) return;
-    const std::size_t first = std::size_t(pixel) * layers_;
-    float *const zs = z_.get() + first, *const as = opacity_.get() + first;
-    const auto before = [&](std::uint32_t i) {  // slot i comes before the new sample
-        return zs[i] < z || (zs[i] == z && as[i] < opacity);
-    };
-    std::uint32_t at = 0;
-    while (at < layers_ && before(at))
-        ++at;
-    if (at == layers_) return;
-    if (opacity == 1.0f && zs[at] == z) return addCopy(pixel, at);
-    if (copies_) shiftCopies(pixel, at);
-    std::copy_backward(zs + at, zs + layers_ - 1, zs + layers_);
-    std::copy_backward(as + at, as + layers_ - 1, as + layers_);
-    zs[at] = z;
-    as[at] = opacity;
-}
-
 void KTile::addCopy(std::uint32_t pixel, std::uint32_t slot) {
     if (!copies_) {
         const std::size_t size = std::size_t(pixels_) * layers_;
@@ -75,12 +48,11 @@ std::uint64_t KTile::copies() const noexcept {
 
 std::uint64_t KTile::bytes() const noexcept {
     const std::uint64_t plane = std::uint64_t(pixels_) * layers_ * sizeof(float);
-    return plane * ((z_ ? 1 : 0) + (opacity_ ? 1 : 0) + (copies_ ? 1 : 0));
+    return plane * ((z_ ? 1 : 0) + (copies_ ? 1 : 0));
 }
 
 void KTile::clear() noexcept {
     z_.reset();
-    opacity_.reset();
     copies_.reset();
     samples_ = 0;
 }

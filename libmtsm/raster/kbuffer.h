@@ -1,17 +1,17 @@
-// kbuffer.h - the k nearest samples of every pixel [Xie07, sec. 4.2].
+// kbuffer.h - the k nearest samples of every pixel [Xie07, sec. 4.2], for casters that
+// are opaque surfaces.
 //
 //     MemoryBudget budget(options.maxBytes);
 //     KBuffer buffer(width, height, layers, budget);
-//     buffer.tile(tx, ty).insert(pixel, z, opacity);   // one thread per tile at a time
+//     buffer.tile(tx, ty).insert(pixel, z);            // one thread per tile at a time
 //     if (budget.exceeded()) ...                       // samples are missing
 //
-// Samples are ordered by (z, then opacity), and the first k of them are kept, so what is
-// kept does not depend on the order in which they come. Opaque samples at exactly the
-// same z are one: the others are its copies. A sample that is not opaque never is
-// another's copy: two of them at the same z both dim the light.
+// Samples are ordered by z and the first k of them are kept, so what is kept does not
+// depend on the order in which they come. Samples at exactly the same z are one: the
+// others are its copies.
 //
-// A tile takes memory when its first sample comes; opacities and numbers of copies when
-// the first sample comes that needs them.
+// A tile takes memory when its first sample comes; for numbers of copies when the first
+// copy comes.
 #pragma once
 #include <cstdint>
 #include <limits>
@@ -31,42 +31,11 @@ class KTile {
           MemoryBudget& budget) noexcept
         : budget_(&budget), width_(width), pixels_(width * height), layers_(layers) {}
 
-    /// Adds a sample at `pixel` (row-major in the tile): z finite and positive, opacity
-    /// in (0, 1]. Without effect once the budget is exceeded.
-    void insert(std::uint32_t pixel, float z, float opacity) {
+    /// Adds a sample at `pixel` (row-major in the tile): z finite and positive. Without
+    /// effect once the budget is exceeded.
+    void insert(std::uint32_t pixel, float z) {
         ++samples_;
         if (!z_ && !allocate()) return;
-        if (opacity_ || opacity < 1.0f)
-            insertTranslucent(pixel, z, opacity);
-        else
-            insertOpaque(pixel, z);
-    }
-
-    [[nodiscard]] bool empty() const noexcept { return !z_; }
-    [[nodiscard]] std::uint32_t width() const noexcept { return width_; }
-    [[nodiscard]] std::uint32_t pixels() const noexcept { return pixels_; }
-    /// All that came, copies included.
-    [[nodiscard]] std::uint64_t samples() const noexcept { return samples_; }
-    /// Of those, the ones that were not kept because they are copies of a kept one.
-    [[nodiscard]] std::uint64_t copies() const noexcept;
-    /// [layers], nearest first, kNoSample behind the last. Only if not empty().
-    [[nodiscard]] const float* z(std::uint32_t pixel) const noexcept {
-        return z_.get() + std::size_t(pixel) * layers_;
-    }
-    /// [layers], as z; null if all samples of the tile are opaque.
-    [[nodiscard]] const float* opacity(std::uint32_t pixel) const noexcept {
-        return opacity_ ? opacity_.get() + std::size_t(pixel) * layers_ : nullptr;
-    }
-    /// Samples kept in a pixel. Only if not empty().
-    [[nodiscard]] std::uint32_t count(std::uint32_t pixel) const noexcept;
-    /// Bytes that its planes take, and that were taken from the budget besides 4 for each
-    /// pixel and one more: so its layers, as a map holds them, never need more.
-    [[nodiscard]] std::uint64_t bytes() const noexcept;
-    /// Drops the planes and the counts.
-    void clear() noexcept;
-
-  private:
-    void insertOpaque(std::uint32_t pixel, float z) {
         float* const slot = z_.get() + std::size_t(pixel) * layers_;
         const std::uint32_t last = layers_ - 1;
         if (z >= slot[last]) {
@@ -82,14 +51,32 @@ class KTile {
         for (float moved = z; moved < kNoSample && at <= last; ++at)
             std::swap(slot[at], moved);
     }
-    void insertTranslucent(std::uint32_t pixel, float z, float opacity);
+
+    [[nodiscard]] bool empty() const noexcept { return !z_; }
+    [[nodiscard]] std::uint32_t width() const noexcept { return width_; }
+    [[nodiscard]] std::uint32_t pixels() const noexcept { return pixels_; }
+    /// All that came, copies included.
+    [[nodiscard]] std::uint64_t samples() const noexcept { return samples_; }
+    /// Of those, the ones that were not kept because they are copies of a kept one.
+    [[nodiscard]] std::uint64_t copies() const noexcept;
+    /// [layers], nearest first, kNoSample behind the last. Only if not empty().
+    [[nodiscard]] const float* z(std::uint32_t pixel) const noexcept {
+        return z_.get() + std::size_t(pixel) * layers_;
+    }
+    /// Samples kept in a pixel. Only if not empty().
+    [[nodiscard]] std::uint32_t count(std::uint32_t pixel) const noexcept;
+    /// Bytes that its planes take, and that were taken from the budget besides 4 for each
+    /// pixel and one more: so its layers, as a map holds them, never need more.
+    [[nodiscard]] std::uint64_t bytes() const noexcept;
+    /// Drops the planes and the counts.
+    void clear() noexcept;
+
+  private:
     void addCopy(std::uint32_t pixel, std::uint32_t slot);
     void shiftCopies(std::uint32_t pixel, std::uint32_t slot);
     bool allocate();
-    bool allocateOpacity();
 
     std::unique_ptr<float[]> z_;               // [pixels][layers]
-    std::unique_ptr<float[]> opacity_;         // [pixels][layers], or null: all are 1
     std::unique_ptr<std::uint32_t[]> copies_;  // [pixels][layers], or null: all are 0
     MemoryBudget* budget_;
     std::uint32_t width_, pixels_, layers_;

@@ -2,6 +2,8 @@
 #include "raster/rasteriser.h"
 
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <glm/geometric.hpp>
 
 #include "base/parallel.h"
@@ -18,23 +20,76 @@ constexpr std::uint32_t kSlices = 32;
 constexpr std::uint32_t kBatchTriangles = kSlices * kSliceTriangles;
 constexpr std::uint32_t kMostBins = 1024;
 
+static_assert(KBuffer::kTileShift == SampleGrid::kTileShift);
+constexpr std::uint32_t kTileShift = KBuffer::kTileShift;
+
+/// A mesh's surface, as a map of so many channels sees it.
+Surface surfaceOf(const MeshView& mesh, std::uint32_t channels) {
+    Surface surface;
+    const glm::vec3 tint = channels == 3 ? mesh.tint : glm::vec3(1.0f);
+    const glm::vec3 opacity = channelOpacity(mesh.opacity, tint);
+    surface.opacity = {opacity.r, opacity.g, opacity.b};
+    surface.texture = mesh.texture;
+    return surface;
+}
+
+/// The opacity of a textured surface at a pixel of the fine raster.
+template <ProjectionKind kind>
+std::array<float, 3> lookUp(const Surface& surface, const PreparedTriangle& t,
+                            std::int32_t x, std::int32_t y, float z,
+                            std::uint32_t channels) {
+    std::array<float, 3> a{};
+    const auto at = surface.coordinates(kind, x, y, z, {t.dx, t.dy});
+    surface.texture->opacity(at.uv, at.dx, at.dy, a.data());
+    if (surface.texture->channels() == 1)
+        a.fill(a[0]);
+    else if (channels == 1)
+        a[0] = (a[0] + a[1] + a[2]) / 3.0f;
+    return a;
+}
+
+/// The same view on a raster with so many times the pixels a side.
+Projection finer(Projection projection, std::uint32_t times) {
+    projection.scale *= double(times);
+    projection.offset *= double(times);
+    return projection;
+}
+
 }  // namespace
 
-Rasteriser::Rasteriser(const Projection& projection, Facing keep, KBuffer& buffer,
-                       std::function<Status(std::uint64_t)> afterBatch)
-    : projection_(projection),
-      setup_(projection, buffer.width(), buffer.height(), keep),
-      buffer_(buffer),
+Rasteriser::Rasteriser(const Projection& fine, std::uint32_t fineWidth,
+                       std::uint32_t fineHeight, std::uint32_t subsamples, Facing keep,
+                       AfterBatch afterBatch)
+    : projection_(fine),
+      width_(fineWidth),
+      height_(fineHeight),
+      setup_(fine, fineWidth, fineHeight, keep),
+      subsampleShift_(std::uint32_t(std::countr_zero(subsamples))),
       afterBatch_(std::move(afterBatch)),
       slices_(kSlices) {
     const auto bins = [](std::uint32_t pixels, std::uint32_t shift) {
         return ((pixels - 1) >> shift) + 1;
     };
-    binShift_ = KBuffer::kTileShift;
+    binShift_ = kTileShift + subsampleShift_;
     do {
-        binsX_ = bins(buffer.width(), binShift_);
-        binsY_ = bins(buffer.height(), binShift_);
+        binsX_ = bins(width_, binShift_);
+        binsY_ = bins(height_, binShift_);
     } while (binsX_ * binsY_ > kMostBins && ++binShift_);
+}
+
+Rasteriser::Rasteriser(const Projection& projection, Facing keep, KBuffer& buffer,
+                       AfterBatch afterBatch)
+    : Rasteriser(projection, buffer.width(), buffer.height(), 1, keep,
+                 std::move(afterBatch)) {
+    buffer_ = &buffer;
+}
+
+Rasteriser::Rasteriser(const Projection& projection, Facing keep, SampleGrid& grid,
+                       AfterBatch afterBatch)
+    : Rasteriser(finer(projection, grid.subsamples()), grid.width() * grid.subsamples(),
+                 grid.height() * grid.subsamples(), grid.subsamples(), keep,
+                 std::move(afterBatch)) {
+    grid_ = &grid;
 }
 
 Status Rasteriser::add(const MeshView& mesh) {
@@ -49,7 +104,8 @@ Status Rasteriser::add(const MeshView& mesh) {
             if (auto s = flush(); !s) return s;
         }
     }
-    return {};
+    // The texture is only borrowed.
+    return mesh.texture ? finish() : Status{};
 }
 
 Status Rasteriser::finish() {
@@ -76,12 +132,23 @@ void Rasteriser::prepare(const MeshView& mesh, std::size_t first, std::uint32_t 
         Slice& slice = slices_[s];
         const std::uint32_t from = std::max(pending_, s * kSliceTriangles);
         const std::uint32_t to = std::min(end, (s + 1) * kSliceTriangles);
+        slice.surfaces.push_back(surfaceOf(mesh, grid_ ? grid_->channels() : 1));
         for (std::uint32_t i = from; i < to; ++i) {
             const std::size_t corner = 3 * std::size_t(i - pending_);
-            setup_.triangle(vertices_[chunk.corner(corner)],
-                            vertices_[chunk.corner(corner + 1)],
-                            vertices_[chunk.corner(corner + 2)], mirrored, origin2,
-                            mesh.opacity, slice.counts, slice.triangles);
+            const Vertex& a = vertices_[chunk.corner(corner)];
+            const Vertex& b = vertices_[chunk.corner(corner + 1)];
+            const Vertex& c = vertices_[chunk.corner(corner + 2)];
+            if (mesh.texture) {
+                const std::uint32_t* const at = mesh.indices + 3 * first + corner;
+                slice.surfaces.push_back(slice.surfaces.back());
+                slice.surfaces.back().setCoordinates(
+                    projection_, {a.light, b.light, c.light},
+                    TriangleNormal(a.light, b.light, c.light, origin2).normal,
+                    {mesh.uvs[at[0]], mesh.uvs[at[1]], mesh.uvs[at[2]]});
+            }
+            setup_.triangle(a, b, c, mirrored, origin2,
+                            std::uint32_t(slice.surfaces.size() - 1), slice.counts,
+                            slice.triangles);
         }
         slice.taken += to - from;
     });
@@ -114,37 +181,97 @@ void Rasteriser::sortIntoBins(Slice& slice) const {
 void Rasteriser::drawBin(std::uint32_t bin) const {
     const auto x = std::int32_t(bin % binsX_), y = std::int32_t(bin / binsX_);
     const std::int32_t side = 1 << binShift_;
-    const PixelRect pixels{x * side, y * side,
-                           std::min((x + 1) * side, std::int32_t(buffer_.width())) - 1,
-                           std::min((y + 1) * side, std::int32_t(buffer_.height())) - 1};
+    const PixelRect pixels = intersect(
+        {x * side, y * side, (x + 1) * side - 1, (y + 1) * side - 1}, wantedPixels());
+    if (pixels.empty()) return;
+    const bool perspective = projection_.kind == ProjectionKind::perspective;
     for (const Slice& slice : slices_) {
         if (slice.taken == 0) continue;
         for (std::uint32_t i = slice.begin[bin]; i < slice.begin[bin + 1]; ++i) {
             const PreparedTriangle& t = slice.triangles[slice.order[i]];
-            if (projection_.kind == ProjectionKind::perspective)
+            if (grid_) {
+                const Surface& surface = slice.surfaces[t.surface];
+                if (perspective)
+                    drawInGrid<ProjectionKind::perspective>(t, surface, pixels);
+                else
+                    drawInGrid<ProjectionKind::orthographic>(t, surface, pixels);
+            } else if (perspective) {
                 drawInBin<ProjectionKind::perspective>(t, pixels);
-            else
+            } else {
                 drawInBin<ProjectionKind::orthographic>(t, pixels);
+            }
         }
     }
 }
 
-template <ProjectionKind kind>
-void Rasteriser::drawInBin(const PreparedTriangle& t, PixelRect bin) const {
-    constexpr std::int32_t shift = KBuffer::kTileShift, side = KBuffer::kTileSize;
-    const PixelRect r = intersect(t.pixels(), bin);
-    for (std::int32_t ty = r.y0 >> shift; ty <= r.y1 >> shift; ++ty) {
-        for (std::int32_t tx = r.x0 >> shift; tx <= r.x1 >> shift; ++tx) {
-            KTile& tile = buffer_.tile(std::uint32_t(tx), std::uint32_t(ty));
+/// The part of the fine raster that is drawn.
+PixelRect Rasteriser::wantedPixels() const noexcept {
+    PixelRect all{0, 0, std::int32_t(width_) - 1, std::int32_t(height_) - 1};
+    if (grid_) {
+        all.y0 = std::int32_t(grid_->firstPixelRow() << subsampleShift_);
+        all.y1 = std::int32_t(grid_->endPixelRow() << subsampleShift_) - 1;
+    }
+    return all;
+}
+
+namespace {
+
+/// Calls draw(tx, ty, part) for the parts of `pixels` that lie in one tile each.
+template <typename Draw>
+void forEachTile(PixelRect pixels, std::uint32_t shift, const Draw& draw) {
+    const std::int32_t side = 1 << shift;
+    for (std::int32_t ty = pixels.y0 >> shift; ty <= pixels.y1 >> shift; ++ty) {
+        for (std::int32_t tx = pixels.x0 >> shift; tx <= pixels.x1 >> shift; ++tx) {
             const std::int32_t left = tx * side, top = ty * side;
-            const auto width = std::int32_t(tile.width());
-            const PixelRect within =
-                intersect(r, {left, top, left + side - 1, top + side - 1});
-            drawTriangle<kind>(t, within, [&](std::int32_t x, std::int32_t y, float z) {
-                tile.insert(std::uint32_t((y - top) * width + (x - left)), z, t.opacity);
-            });
+            draw(std::uint32_t(tx), std::uint32_t(ty),
+                 intersect(pixels, {left, top, left + side - 1, top + side - 1}));
         }
     }
+}
+
+}  // namespace
+
+template <ProjectionKind kind>
+void Rasteriser::drawInBin(const PreparedTriangle& t, PixelRect bin) const {
+    forEachTile(intersect(t.pixels(), bin), kTileShift,
+                [&](std::uint32_t tx, std::uint32_t ty, PixelRect within) {
+                    KTile& tile = buffer_->tile(tx, ty);
+                    const auto left = std::int32_t(tx << kTileShift);
+                    const auto top = std::int32_t(ty << kTileShift);
+                    const auto width = std::int32_t(tile.width());
+                    drawTriangle<kind>(
+                        t, within, [&](std::int32_t x, std::int32_t y, float z) {
+                            tile.insert(std::uint32_t((y - top) * width + (x - left)), z);
+                        });
+                });
+}
+
+template <ProjectionKind kind>
+void Rasteriser::drawInGrid(const PreparedTriangle& t, const Surface& surface,
+                            PixelRect bin) const {
+    const std::uint32_t shift = subsampleShift_, mask = (1u << shift) - 1;
+    const std::uint32_t channels = grid_->channels();
+    const auto draw = [&](std::uint32_t tx, std::uint32_t ty, PixelRect within) {
+        SampleTile& tile = grid_->tile(tx, ty);
+        const std::uint32_t left = tx << kTileShift, top = ty << kTileShift;
+        drawTriangle<kind>(
+            t, within, [&](std::int32_t fineX, std::int32_t fineY, float z) {
+                const auto x = std::uint32_t(fineX), y = std::uint32_t(fineY);
+                const auto opacity =
+                    surface.texture ? lookUp<kind>(surface, t, fineX, fineY, z, channels)
+                                    : surface.opacity;
+                if (*std::max_element(opacity.begin(), opacity.begin() + channels) <=
+                    0.0f)
+                    return;
+                const std::uint32_t pixel =
+                    ((y >> shift) - top) * tile.width() + ((x >> shift) - left);
+                const auto subsample =
+                    shift ? std::uint8_t((y & mask) << shift | (x & mask))
+                          : SampleTile::kWholePixel;
+                tile.add(pixel, z, opacity.data(), subsample);
+            });
+    };
+    forEachTile(intersect(t.pixels(), bin), kTileShift + shift, draw);
 }
 
 Status Rasteriser::flush() {
@@ -158,6 +285,7 @@ Status Rasteriser::flush() {
         slice.counts = {};
         slice.taken = 0;
         slice.triangles.clear();
+        slice.surfaces.clear();
     }
     done_ += pending_;
     pending_ = 0;

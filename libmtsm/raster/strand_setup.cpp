@@ -235,11 +235,11 @@ double StrandSetup::pieces(const Segment& s, double share) const noexcept {
     const double q0 = s.end[0].q, q1 = s.end[1].q;
     const double footprints = share * finestScale_ * std::abs(q1 - q0) /
                               (perspective_ ? std::min(q0, q1) : 1.0);
-    double count = std::max(1.0, std::ceil(length / kPieceLength));
-    if (footprints > kRunFootprints * std::max(1.0, length))
-        count = std::max(
-            count, std::min(kMostSteepPieces, std::ceil(footprints / kRunFootprints)));
-    return count;
+    const double count = std::max(1.0, std::ceil(length / kPieceLength));
+    if (footprints <= kRunFootprints * std::max(1.0, length)) return count;
+    // Within a pixel it is deeper than a run may be.
+    const double steep = std::ceil(footprints / (0.5 * kRunFootprints));
+    return std::max(count, std::min(kMostSteepPieces, steep));
 }
 
 void StrandSetup::emit(const Segment& s, glm::dvec2 side0, glm::dvec2 side1,

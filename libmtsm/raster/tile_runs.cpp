@@ -217,12 +217,9 @@ void TileRuns::sweepRow(std::uint32_t firstPixel) {
 void TileRuns::add(std::uint32_t pixel, double area, double moment) {
     if (!(std::abs(area) > kNoise)) return;
     // Where corners stick out in a mitre, what lies beyond the ends is taken for the end.
-    moment = area > 0.0 ? std::clamp(moment, 0.0, area) : std::clamp(moment, area, 0.0);
     const PreparedSegment& p = *segment_;
-    const auto mean = [&](const float(&ends)[2]) {  // times area
-        return float(area * ends[0] + moment * (ends[1] - ends[0]));
-    };
-    const float areaQ = mean(p.q), q = areaQ / float(area);
+    const auto way = float(std::clamp(moment / area, 0.0, 1.0));
+    const float q = p.q[0] + way * (p.q[1] - p.q[0]);
     Run& run = runs_[pixel];
     if (run.order == kClosed) {
         open_.push_back(pixel);
@@ -233,18 +230,21 @@ void TileRuns::add(std::uint32_t pixel, double area, double moment) {
         run = {};
         run.firstQ = q;
     }
-    run.area += float(area);
-    run.q += areaQ;
-    run.opacity += mean(p.opacity);
+    const auto a = float(area);
     run.order = p.order;
+    run.area += a;
+    if (a < 0.0f) return;
+    run.weight += a;
+    run.q += a * q;
+    run.opacity += a * (p.opacity[0] + way * (p.opacity[1] - p.opacity[0]));
 }
 
 void TileRuns::emit(std::uint32_t pixel, const Run& run) {
     if (!(run.area > 0.0f)) return;  // folded over
     const float coverage = std::min(run.area, 1.0f);
-    const float opacity = std::min(coverage * (run.opacity / run.area), 1.0f);
+    const float opacity = std::min(coverage * (run.opacity / run.weight), 1.0f);
     if (!(opacity > float(kNoise))) return;
-    const float z = perspective_ ? run.area / run.q : run.q / run.area;
+    const float z = perspective_ ? run.weight / run.q : run.q / run.weight;
     const float channels[3] = {opacity, opacity, opacity};
     tile_->add(pixel, z, channels);
 }

@@ -27,9 +27,10 @@ class TileRuns {
     void endStrand();
 
   private:
-    /// Sums over a run, weighted by area.
+    /// Sums over a run.
     struct Run {
-        float area = 0.0f, q = 0.0f, opacity = 0.0f;
+        float area = 0.0f;                              ///< signed
+        float weight = 0.0f, q = 0.0f, opacity = 0.0f;  ///< by area, where positive
         float firstQ = 0.0f;
         std::uint32_t order = kClosed;  ///< of the piece that came last
     };

@@ -124,7 +124,7 @@ Vertex TriangleSetup::projected(glm::dvec3 light) const noexcept {
 }
 
 void TriangleSetup::triangle(const Vertex& a, const Vertex& b, const Vertex& c,
-                             bool mirrored, double origin2, float opacity,
+                             bool mirrored, double origin2, std::uint32_t surface,
                              TriangleCounts& counts,
                              std::vector<PreparedTriangle>& out) const {
     const std::uint32_t flags = a.flags | b.flags | c.flags;
@@ -154,16 +154,16 @@ void TriangleSetup::triangle(const Vertex& a, const Vertex& b, const Vertex& c,
     Plane plane{n.x * unit * worldPerPixel_.x, n.y * unit * worldPerPixel_.y, false};
     plane.edgeOn = !(std::abs(plane.dx) + std::abs(plane.dy) < 1e100);
     if (flags == 0) {
-        emit(a, b, c, plane, opacity, out);
+        emit(a, b, c, plane, surface, out);
     } else {
         const Vertex corners[3] = {a, b, c};
-        cut(corners, plane, opacity, counts, out);
+        cut(corners, plane, surface, counts, out);
     }
 }
 
 /// A triangle that is not wholly between near and far and inside the window.
-void TriangleSetup::cut(const Vertex (&corners)[3], const Plane& plane, float opacity,
-                        TriangleCounts& counts,
+void TriangleSetup::cut(const Vertex (&corners)[3], const Plane& plane,
+                        std::uint32_t surface, TriangleCounts& counts,
                         std::vector<PreparedTriangle>& out) const {
     const std::uint32_t any = corners[0].flags | corners[1].flags | corners[2].flags;
     const std::uint32_t all = corners[0].flags & corners[1].flags & corners[2].flags;
@@ -200,7 +200,7 @@ void TriangleSetup::cut(const Vertex (&corners)[3], const Plane& plane, float op
     }
     ++counts.clipped;
     for (std::size_t i = 2; i < size; ++i)
-        emit(v[0], v[i - 1], v[i], plane, opacity, out);
+        emit(v[0], v[i - 1], v[i], plane, surface, out);
 }
 
 /// True if no point of the convex polygon lies in the window: a side of the window, or an
@@ -231,7 +231,7 @@ bool TriangleSetup::missesWindow(const Vertex* corners,
 }
 
 void TriangleSetup::emit(const Vertex& a, const Vertex& b, const Vertex& c,
-                         const Plane& plane, float opacity,
+                         const Plane& plane, std::uint32_t surface,
                          std::vector<PreparedTriangle>& out) const {
     const auto least = [](auto x, auto y, auto z) { return std::min(std::min(x, y), z); };
     const auto most = [](auto x, auto y, auto z) { return std::max(std::max(x, y), z); };
@@ -256,7 +256,7 @@ void TriangleSetup::emit(const Vertex& a, const Vertex& b, const Vertex& c,
     t.dy = plane.dy;
     t.zMin = float(least(a.light.z, b.light.z, c.light.z));
     t.zMax = float(most(a.light.z, b.light.z, c.light.z));
-    t.opacity = opacity;
+    t.surface = surface;
     t.small = right - left <= 7 * kSubpixels && bottom - top <= 7 * kSubpixels;
 }
 

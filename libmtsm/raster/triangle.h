@@ -3,7 +3,7 @@
 //
 //     const TriangleSetup setup(projection, width, height, Facing::any);
 //     const Vertex a = setup.vertex(lightFromObject(p)), b = ..., c = ...;
-//     setup.triangle(a, b, c, mirrored, opacity, counts, prepared);
+//     setup.triangle(a, b, c, mirrored, origin2, surface, counts, prepared);
 //     for (const PreparedTriangle& t : prepared)
 //         drawTriangle<ProjectionKind::perspective>(t, pixels, sink);  // sink(x, y, z)
 //
@@ -112,7 +112,7 @@ struct PreparedTriangle {
     /// y); q is 1/z for a perspective projection and z for an orthographic one.
     double at, dx, dy;
     float zMin, zMax;
-    float opacity;
+    std::uint32_t surface;  ///< a number of the caller's
     bool small;  ///< reaches over 8 x 8 pixels at most, those outside the window counted
 
     [[nodiscard]] PixelRect pixels() const noexcept { return {x0, y0, x1, y1}; }
@@ -131,16 +131,16 @@ class TriangleSetup {
     /// that of an object space that the world sees in a mirror. `origin2`: see
     /// TriangleNormal.
     void triangle(const Vertex& a, const Vertex& b, const Vertex& c, bool mirrored,
-                  double origin2, float opacity, TriangleCounts& counts,
+                  double origin2, std::uint32_t surface, TriangleCounts& counts,
                   std::vector<PreparedTriangle>& out) const;
 
   private:
     struct Plane;
     [[nodiscard]] Vertex projected(glm::dvec3 light) const noexcept;
-    void cut(const Vertex (&corners)[3], const Plane& plane, float opacity,
+    void cut(const Vertex (&corners)[3], const Plane& plane, std::uint32_t surface,
              TriangleCounts& counts, std::vector<PreparedTriangle>& out) const;
     void emit(const Vertex& a, const Vertex& b, const Vertex& c, const Plane& plane,
-              float opacity, std::vector<PreparedTriangle>& out) const;
+              std::uint32_t surface, std::vector<PreparedTriangle>& out) const;
     [[nodiscard]] bool missesWindow(const Vertex* corners,
                                     std::size_t count) const noexcept;
 

@@ -85,12 +85,18 @@ struct Span {
     [[nodiscard]] bool empty() const noexcept { return !(low <= high); }
 };
 
+/// Rays across the view meet few samples of a medium, each of which then counts for more.
+inline constexpr double kMostStretch = 16.0;
+
 /// A ray on its way through one pixel.
 struct PixelCrossing {
     double zEnter = 0.0, zExit = 0.0;
     double bias = 0.0;     ///< z threshold there
     Span counted;          ///< layers outside do not count
     bool surfaces = true;  ///< false, in a map of media: surfaces do not count
+    /// Media: how much longer the ray's way through a slice of depth is than the centre
+    /// ray's, at most kMostStretch.
+    double stretch = 1.0;
 };
 
 /// What a ray has left.

@@ -66,15 +66,16 @@ Crossing cross(Interval i, Linear f) noexcept {
 
 class Traversal {
   public:
-    Traversal(const ShadowMap& map, std::uint32_t face, const Ray& ray,
+    Traversal(const ShadowMap& map, std::uint32_t face, const Ray& ray, bool surfaces,
               const TraceOptions& options, RayState& state)
         : map_(map),
           face_(face),
           options_(options),
           state_(state),
+          surfaces_(surfaces),
           sheets_(!map.isOpaque() && map.info().translucent == Translucent::sheets),
-          tSurfaces_(map.info().translucent == Translucent::media ? ray.tSurfaces
-                                                                  : -HUGE_VAL) {
+          media_(map.info().translucent == Translucent::media),
+          length_(media_ ? glm::length(ray.delta) : 1.0) {
         const Projection& p = map.projection(face);
         const glm::dvec3 o = p.lightFromWorld(ray.origin);
         const glm::dvec3 d = p.lightFromWorldDirection(ray.delta);
@@ -119,7 +120,7 @@ class Traversal {
         const double reach = sheets_ ? 2.0 * bias : bias;
         // Also true for an empty node, whose range is (+inf, -inf).
         if (!(range.min <= zHigh + reach && range.max >= zLow - reach)) return false;
-        if (level == 0) return meet(x, y, t, {zEnter, zExit, bias, {}});
+        if (level == 0) return meet(x, y, t, {zEnter, zExit, bias, {}, surfaces_});
 
         const std::uint32_t half = 1u << (level - 1);
         const double xMiddle = double((2 * x + 1) * half),
@@ -153,58 +154,79 @@ class Traversal {
                 return false;
             }
         }
-        const PixelLayers pixel = map_.pixel(face_, x, y);
-        if (t.begin < tSurfaces_) {
-            PixelCrossing start = crossing;
-            start.surfaces = false;
-            if (t.end > tSurfaces_) start.zExit = crossing.zEnter = z_.at(tSurfaces_);
-            if (attenuate(pixel, map_.info(), start, options_, state_)) return true;
-            if (!(t.end > tSurfaces_)) return false;
+        if (media_) crossing.stretch = stretch(x, y);
+        return attenuate(map_.pixel(face_, x, y), map_.info(), crossing, options_,
+                         state_);
+    }
+
+    /// A medium takes from a ray by the length of its way, and what a sample says of that
+    /// was found along the centre ray.
+    [[nodiscard]] double stretch(std::uint32_t x, std::uint32_t y) const {
+        const Projection& p = map_.projection(face_);
+        double centre = 1.0;
+        if (p.kind == ProjectionKind::perspective) {
+            const glm::dvec2 c = (glm::dvec2(x + 0.5, y + 0.5) - p.offset) / p.scale;
+            centre = std::sqrt(1.0 + c.x * c.x + c.y * c.y);
         }
-        return attenuate(pixel, map_.info(), crossing, options_, state_);
+        return std::min(length_ / (std::abs(z_.b) * centre), kMostStretch);
     }
 
     const ShadowMap& map_;
     std::uint32_t face_;
     const TraceOptions& options_;
     RayState& state_;
-    bool sheets_;       // that let light through: followed a little beyond the bias
-    double tSurfaces_;  // where surfaces begin to count
+    bool surfaces_;  // do they count?
+    bool sheets_;    // that let light through: followed a little beyond the bias
+    bool media_;
+    double length_;  // per unit of t, of media
     Linear x_, y_, h_, z_;
 };
 
-/// The ray through six faces, in order.
-void traceFaces(const ShadowMap& map, const Ray& ray, const TraceOptions& options,
-                RayState& state) {
+/// Where a ray is to be traced, and what is to count there.
+struct Stretch {
+    Interval t;
+    bool surfaces = true;
+};
+
+/// Each face in turn that the ray is in; true if it fell to the threshold.
+bool traceFaces(const ShadowMap& map, const Ray& ray, Stretch stretch,
+                const TraceOptions& options, RayState& state) {
     std::array<Linear, 6> depth;
-    double t = ray.tBegin;
+    Interval t = stretch.t;
     std::uint32_t face = 0;
     for (std::uint32_t f = 0; f < 6; ++f) {
         const Projection& p = map.projection(f);
         depth[f] = {glm::dot(p.forward, ray.origin - p.eye),
                     glm::dot(p.forward, ray.delta)};
-        if (depth[f].at(t) > depth[face].at(t)) face = f;
+        if (depth[f].at(t.begin) > depth[face].at(t.begin)) face = f;
     }
     // The depth in the ray's face is overtaken by one that grows faster, five times at
     // most.
     for (;;) {
-        double end = ray.tEnd;
+        t.end = stretch.t.end;
         std::uint32_t next = face;
         for (std::uint32_t f = 0; f < 6; ++f) {
             const Linear lead = depth[face] - depth[f];
             if (!(lead.b < 0.0)) continue;
-            const double overtakes = std::max(t, -lead.a / lead.b);
-            if (overtakes < end ||
-                (overtakes == end && next != face && depth[f].b > depth[next].b)) {
-                end = overtakes;
+            const double overtakes = std::max(t.begin, -lead.a / lead.b);
+            if (overtakes < t.end ||
+                (overtakes == t.end && next != face && depth[f].b > depth[next].b)) {
+                t.end = overtakes;
                 next = f;
             }
         }
-        if (Traversal(map, face, ray, options, state).run({t, end})) return;
-        if (next == face) return;
-        t = end;
+        if (Traversal(map, face, ray, stretch.surfaces, options, state).run(t))
+            return true;
+        if (next == face) return false;
+        t.begin = t.end;
         face = next;
     }
+}
+
+bool trace(const ShadowMap& map, const Ray& ray, Stretch stretch,
+           const TraceOptions& options, RayState& state) {
+    if (map.faceCount() > 1) return traceFaces(map, ray, stretch, options, state);
+    return Traversal(map, 0, ray, stretch.surfaces, options, state).run(stretch.t);
 }
 
 /// How many of the n samples at a + j (b - a) / n, j = 1..n, lie in front of depth z; or
@@ -281,9 +303,8 @@ struct Layers {
 /// Takes `count` of the samples of layer i, the last one of them if `last`; true if the
 /// ray is now at or below the threshold.
 bool take(const Layers& layers, std::uint32_t i, bool restart, std::uint32_t count,
-          bool last, const TraceOptions& options, RayState& state) {
-    const std::uint32_t n = layers.n(i);
-    const double share = double(count) / n;
+          bool last, double stretch, const TraceOptions& options, RayState& state) {
+    const double share = double(count) / layers.n(i), power = stretch * share;
     const bool blocks = last && count > 0 && layers.isDark(i);
     bool dark = true;
     for (std::uint32_t c = 0; c < layers.channels; ++c) {
@@ -297,7 +318,7 @@ bool take(const Layers& layers, std::uint32_t i, bool restart, std::uint32_t cou
         } else if (options.attenuation == Attenuation::subtract) {
             remaining = std::max(0.0, remaining - (before - v) * share);  // eq. 3
         } else if (v > 0.0) {
-            remaining *= count == n ? v / before : std::pow(v / before, share);
+            remaining *= power == 1.0 ? v / before : std::pow(v / before, power);
         }
         dark = dark && remaining <= options.threshold;
     }
@@ -358,7 +379,7 @@ bool meetSheets(const Layers& layers, const PixelCrossing& crossing,
                                                   samplesWithin(zBefore, z, n, left));
             count -= std::min(count, std::uint32_t(known));
         }
-        if (take(layers, i, restart, count, last, options, state)) return true;
+        if (take(layers, i, restart, count, last, 1.0, options, state)) return true;
         restart = opaque;
     }
     return false;
@@ -381,7 +402,8 @@ bool meetMedia(const Layers& layers, const PixelCrossing& crossing,
         const std::uint32_t count = surface ? z >= surfaces.low && z <= surfaces.high
                                             : crossed.samples(zBefore, z, n);
         const bool last = surface || !(crossed.high < Cut{z, true});
-        if (take(layers, i, restart, count, last, options, state)) return true;
+        if (take(layers, i, restart, count, last, crossing.stretch, options, state))
+            return true;
         restart = dark;
     }
     return false;
@@ -436,10 +458,13 @@ ChannelVisibility traceRay(const ShadowMap& map, const Ray& ray,
                            const TraceOptions& options) noexcept {
     if (ray.delta == glm::dvec3(0.0)) return {1.0f, 1.0f, 1.0f};
     RayState state;
-    if (map.faceCount() == 1)
-        Traversal(map, 0, ray, options, state).run({ray.tBegin, ray.tEnd});
-    else
-        traceFaces(map, ray, options, state);
+    Interval t{ray.tBegin, ray.tEnd};
+    if (map.info().translucent == Translucent::media && ray.tSurfaces > t.begin) {
+        const Interval start{t.begin, std::min(ray.tSurfaces, t.end)};
+        trace(map, ray, {start, false}, options, state);
+        t.begin = start.end;
+    }
+    trace(map, ray, {t, true}, options, state);
     return channelsOf(state, map.info().channels, options.threshold);
 }
 

@@ -10,21 +10,16 @@
 #include <glm/gtc/matrix_transform.hpp>
 
 #include "bake/casters.h"
+#include "raster/grid_content.h"
 #include "raster/light_from_object.h"
 
 using namespace mtsm;
 using namespace mtsm::raster;
 using mtsm::test::Mesh;
+using mtsm::test::Pixel;
 using mtsm::test::Random;
 
 namespace {
-
-struct Pixel {
-    std::vector<std::pair<float, float>> samples;
-    friend bool operator==(const Pixel& a, const Pixel& b) {
-        return a.samples == b.samples;
-    }
-};
 
 Projection viewFrom(glm::dvec3 eye, std::uint32_t side) {
     Projection p;
@@ -38,15 +33,19 @@ Projection viewFrom(glm::dvec3 eye, std::uint32_t side) {
     return p;
 }
 
-/// Samples of all pixels, from the k-buffer.
-std::vector<Pixel> rasterise(const Projection& p, std::uint32_t side, std::uint32_t k,
-                             const std::vector<Mesh>& meshes, std::uint64_t* dropped) {
-    MemoryBudget budget(1ull << 32);
-    KBuffer buffer(side, side, k, budget);
-    Rasteriser rasteriser(p, Facing::any, buffer);
+void draw(Rasteriser& rasteriser, const std::vector<Mesh>& meshes) {
     for (const Mesh& mesh : meshes)
         REQUIRE(rasteriser.add(mesh.view()));
     REQUIRE(rasteriser.finish());
+}
+
+/// The k nearest samples of all pixels, from the k-buffer.
+std::vector<Pixel> nearest(const Projection& p, std::uint32_t side, std::uint32_t k,
+                           const std::vector<Mesh>& meshes, std::uint64_t* dropped) {
+    MemoryBudget budget(1ull << 32);
+    KBuffer buffer(side, side, k, budget);
+    Rasteriser rasteriser(p, Facing::any, buffer);
+    draw(rasteriser, meshes);
     std::vector<Pixel> pixels(std::size_t(side) * side);
     *dropped = 0;
     for (const KTile& tile : buffer.tiles())
@@ -58,15 +57,24 @@ std::vector<Pixel> rasterise(const Projection& p, std::uint32_t side, std::uint3
             const std::uint32_t at = y % 64 * tile.width() + x % 64;
             *dropped -= tile.count(at);
             for (std::uint32_t i = 0; i < tile.count(at); ++i)
-                pixels[y * side + x].samples.emplace_back(
-                    tile.z(at)[i], tile.opacity(at) ? tile.opacity(at)[i] : 1.0f);
+                pixels[y * side + x].samples.emplace_back(tile.z(at)[i], 1.0f);
         }
     }
     return pixels;
 }
 
-/// One triangle after the other, every sample kept, then sorted and cut to k.
-std::vector<Pixel> bruteForce(const Projection& p, std::uint32_t side, std::uint32_t k,
+/// All samples of the rows of pixels that a grid of these rows of tiles holds.
+std::vector<Pixel> everything(const Projection& p, std::uint32_t side,
+                              std::uint32_t firstRow, std::uint32_t endRow,
+                              const std::vector<Mesh>& meshes) {
+    SampleGrid grid({side, side, 1, 1, {}}, firstRow, endRow, 1ull << 32);
+    Rasteriser rasteriser(p, Facing::any, grid);
+    draw(rasteriser, meshes);
+    return mtsm::test::content(grid);
+}
+
+/// One triangle after the other, every sample kept, then sorted.
+std::vector<Pixel> bruteForce(const Projection& p, std::uint32_t side,
                               const std::vector<Mesh>& meshes) {
     const TriangleSetup setup(p, side, side, Facing::any);
     const PixelRect all{0, 0, std::int32_t(side) - 1, std::int32_t(side) - 1};
@@ -79,8 +87,8 @@ std::vector<Pixel> bruteForce(const Projection& p, std::uint32_t side, std::uint
             };
             TriangleCounts counts;
             std::vector<PreparedTriangle> prepared;
-            setup.triangle(corner(0), corner(1), corner(2), false, 0.0, mesh.opacity,
-                           counts, prepared);
+            setup.triangle(corner(0), corner(1), corner(2), false, 0.0, 0, counts,
+                           prepared);
             for (const PreparedTriangle& t : prepared)
                 drawTriangle<ProjectionKind::perspective>(
                     t, all, [&](std::int32_t x, std::int32_t y, float z) {
@@ -89,22 +97,26 @@ std::vector<Pixel> bruteForce(const Projection& p, std::uint32_t side, std::uint
                     });
         }
     }
+    for (Pixel& pixel : pixels)
+        std::sort(pixel.samples.begin(), pixel.samples.end());
+    return pixels;
+}
+
+/// Of opaque samples: each depth once, the first k.
+std::vector<Pixel> cut(std::vector<Pixel> pixels, std::uint32_t k) {
     for (Pixel& pixel : pixels) {
         auto& s = pixel.samples;
-        std::sort(s.begin(), s.end());
-        s.erase(std::unique(s.begin(), s.end(),
-                            [](auto a, auto b) { return a == b && a.second == 1.0f; }),
-                s.end());
+        s.erase(std::unique(s.begin(), s.end()), s.end());
         if (s.size() > k) s.resize(k);
     }
     return pixels;
 }
 
-std::vector<Mesh> soup(std::uint64_t seed) {
+std::vector<Mesh> soup(std::uint64_t seed, float oddOpacity) {
     Random random(seed);
     std::vector<Mesh> meshes(4);
     for (std::size_t m = 0; m < meshes.size(); ++m) {
-        meshes[m].opacity = m % 2 ? 0.3f : 1.0f;
+        meshes[m].opacity = m % 2 ? oddOpacity : 1.0f;
         meshes[m].worldFromObject = glm::rotate(
             glm::translate(glm::dmat4(1.0), {0.3 * random.unit(), 0, 0.2 * double(m)}),
             random.in(0, 6), glm::dvec3(1, 2, 3));
@@ -130,9 +142,10 @@ TEST_CASE("the parallel rasteriser keeps what a sort of all samples keeps",
     const std::uint32_t side = 150;
     const Projection p = viewFrom({1, 2, 3}, side);
     for (std::uint64_t seed = 0; seed < 2; ++seed) {
-        std::vector<Mesh> meshes = soup(seed);
+        std::vector<Mesh> meshes = soup(seed, 1.0f);
+        const auto all = bruteForce(p, side, meshes);
         for (const std::uint32_t k : {1u, 4u, 64u}) {
-            const auto expected = bruteForce(p, side, k, meshes);
+            const auto expected = cut(all, k);
             std::uint64_t droppedFirst = 0;
             Random random(seed);
             for (const int threads : {1, 2, 8}) {
@@ -144,13 +157,38 @@ TEST_CASE("the parallel rasteriser keeps what a sort of all samples keeps",
                 random.shuffle(meshes);
                 std::uint64_t dropped = 0;
                 std::vector<Pixel> found;
-                arena.execute([&] { found = rasterise(p, side, k, meshes, &dropped); });
+                arena.execute([&] { found = nearest(p, side, k, meshes, &dropped); });
                 INFO("seed " << seed << ", k " << k << ", threads " << threads);
                 CHECK(found == expected);
                 if (threads == 1) droppedFirst = dropped;
                 CHECK(dropped == droppedFirst);
             }
         }
+    }
+}
+
+TEST_CASE("a grid holds every sample, in whatever order they come and band by band",
+          "[raster][exact]") {
+    const std::uint32_t side = 150;
+    const Projection p = viewFrom({1, 2, 3}, side);
+    std::vector<Mesh> meshes = soup(5, 0.3f);
+    const auto expected = bruteForce(p, side, meshes);
+    Random random(3);
+    for (const int threads : {1, 8}) {
+        tbb::task_arena arena(threads);
+        for (Mesh& mesh : meshes)
+            shuffleTriangles(mesh, random);
+        random.shuffle(meshes);
+        std::vector<Pixel> found, bands;
+        arena.execute([&] {
+            found = everything(p, side, 0, 3, meshes);
+            for (std::uint32_t row = 0; row < 3; ++row) {
+                const auto band = everything(p, side, row, row + 1, meshes);
+                bands.insert(bands.end(), band.begin(), band.end());
+            }
+        });
+        CHECK(found == expected);
+        CHECK(bands == expected);
     }
 }
 
@@ -177,8 +215,7 @@ TEST_CASE("a mesh of more triangles than a batch comes out whole", "[raster]") {
     Random random(1);
     for (const bool shuffled : {false, true}) {
         if (shuffled) shuffleTriangles(mesh, random);
-        std::uint64_t dropped = 0;
-        const auto pixels = rasterise(p, side, 4, {mesh}, &dropped);
+        const auto pixels = everything(p, side, 0, 3, {mesh});
         CHECK(std::all_of(pixels.begin(), pixels.end(), [](const Pixel& pixel) {
             return pixel.samples.size() == 1 && pixel.samples[0].first == 1.0f;
         }));
@@ -198,6 +235,6 @@ TEST_CASE("triangles spread over a huge vertex array are found there", "[raster]
     mesh.positions[99'999] = {0, 2, -1};
     mesh.indices = {5, 50'000, 99'999};
     std::uint64_t dropped = 0;
-    for (const Pixel& pixel : rasterise(p, side, 1, {mesh}, &dropped))
+    for (const Pixel& pixel : nearest(p, side, 1, {mesh}, &dropped))
         CHECK(pixel.samples.size() == 1);
 }

@@ -50,7 +50,7 @@ struct Canvas {
         const TriangleSetup setup(projection, width, height, keep);
         std::vector<PreparedTriangle> prepared;
         setup.triangle(setup.vertex(t[0]), setup.vertex(t[1]), setup.vertex(t[2]),
-                       mirrored, 0.0, 1.0f, counts, prepared);
+                       mirrored, 0.0, 0, counts, prepared);
         std::vector<Sample> found;
         const PixelRect all{0, 0, std::int32_t(width) - 1, std::int32_t(height) - 1};
         const auto sink = [&](std::int32_t x, std::int32_t y, float z) {
@@ -401,7 +401,7 @@ TEST_CASE("the largest raster is covered to its last pixel by triangles of any s
             d(-size, size, 1);
         for (const Triangle& t : {Triangle{a, b, c}, Triangle{a, c, d}})
             setup.triangle(setup.vertex(t[0]), setup.vertex(t[1]), setup.vertex(t[2]),
-                           false, 0.0, 1.0f, counts, prepared);
+                           false, 0.0, 0, counts, prepared);
         const auto last = std::int32_t(side) - 1;
         for (const PixelRect corner :
              {PixelRect{0, 0, 63, 63}, PixelRect{last - 63, last - 63, last, last},

@@ -1,0 +1,52 @@
+#include "bake/face.h"
+
+#include <variant>
+
+#include "base/message.h"
+
+namespace mtsm::bake_detail {
+
+Result<CasterKinds> kindsOf(Visits& visits) {
+    CasterKinds kinds;
+    bool known = false;
+    const Status status = visits.each([&](const CasterView& caster) -> Status {
+        if (const auto* mesh = std::get_if<MeshView>(&caster)) {
+            const bool solid = mesh->texture
+                                   ? !mesh->texture->translucent()
+                                   : mesh->opacity == 1.0f || mesh->opacity == 0.0f;
+            kinds.translucent = kinds.translucent || !solid;
+            return {};
+        }
+        kinds.translucent = kinds.media = known = true;
+        return Error{ErrorCode::cancelled, "all is known"};
+    });
+    if (!status && !known) return status.error();
+    return kinds;
+}
+
+Error tooLarge(const BakeOptions& o) {
+    return base::makeError(
+        ErrorCode::tooLarge, "a map of ", o.width, " x ", o.height,
+        " pixels of these casters needs more than the ", o.maxBytes,
+        " bytes of --max-memory: raise it, or lower --resolution or --layers, or raise ",
+        "--tolerance");
+}
+
+raster::Facing facing(Cull cull) {
+    switch (cull) {
+        case Cull::none:
+            break;
+        case Cull::back:
+            return raster::Facing::front;
+        case Cull::front:
+            return raster::Facing::back;
+    }
+    return raster::Facing::any;
+}
+
+std::uint64_t bytesOf(const Tile& tile) {
+    return sizeof(std::uint32_t) *
+           (tile.begin.size() + tile.z.size() + tile.v.size() + tile.n.size());
+}
+
+}  // namespace mtsm::bake_detail

@@ -1,0 +1,210 @@
+// Casters that let light through: all samples of a band of the map are collected, sorted
+// and compressed [Xie07, sec. 5.1]; then the casters are visited again for the next band.
+// Where bands end depends on memory, what a pixel ends up with does not.
+#include <algorithm>
+#include <chrono>
+#include <variant>
+
+#include "bake/face.h"
+#include "base/parallel.h"
+#include "raster/rasteriser.h"
+#include "raster/sample_grid.h"
+#include "raster/strand.h"
+#include "raster/volume_march.h"
+
+namespace mtsm::bake_detail {
+namespace {
+
+using raster::SampleGrid;
+using raster::SampleTile;
+
+/// What subsamples of one pixel meet within so many footprints may be one surface: as
+/// steep as the z threshold bridges between pixels.
+constexpr double kMergeFootprints = 2.0;
+/// Part of the memory that samples may take; the rest is for sorting them.
+constexpr double kSamplesShare = 0.8;
+
+double seconds() {
+    using namespace std::chrono;
+    return duration<double>(steady_clock::now().time_since_epoch()).count();
+}
+
+/// Depth along the view of so many pixel footprints: constant, and growing with z.
+raster::MergeDepth footprints(const Projection& projection, double count) {
+    const double depth = count * projection.pixelFootprint(1.0);
+    if (projection.kind == ProjectionKind::perspective) return {0.0, depth};
+    return {depth, 0.0};
+}
+
+/// Draws casters of all kinds into a grid.
+class Drawing {
+  public:
+    Drawing(const Projection& projection, const FaceSettings& settings,
+            const Progress& progress, SampleGrid& grid)
+        : settings_(settings),
+          progress_(progress),
+          grid_(grid),
+          meshes_(projection, facing(settings.options.cull), grid,
+                  [this](std::uint64_t done) { return tell(triangles_ = done); }),
+          strands_(projection, grid, [this](std::uint64_t) { return tell(triangles_); }),
+          volumes_(projection, grid, [this](std::uint64_t) { return tell(triangles_); }) {
+    }
+
+    Status add(const CasterView& caster) {
+        if (const auto* mesh = std::get_if<MeshView>(&caster)) return addMesh(*mesh);
+        if (const auto* strands = std::get_if<StrandsView>(&caster))
+            return strands_.add(*strands);
+        return volumes_.add(std::get<VolumeView>(caster));
+    }
+    Status finish() {
+        if (auto s = meshes_.finish(); !s) return s;
+        if (auto s = strands_.finish(); !s) return s;
+        return tell(triangles_);
+    }
+    /// Of all that was drawn, after finish().
+    void count(Face& face) const {
+        face.triangles = meshes_.counts();
+        face.casters = casters_;
+        const raster::StrandCounts& hair = strands_.counts();
+        face.casters.strands = hair.strands;
+        face.casters.segments = hair.segments;
+        face.casters.volumes = volumes_.counts().volumes;
+        face.casters.voxels = volumes_.counts().voxels;
+        face.leavesWindow = face.triangles.leavesWindow + hair.leavesWindow;
+    }
+
+  private:
+    Status addMesh(const MeshView& mesh) {
+        ++casters_.meshes;
+        casters_.triangles += mesh.triangleCount;
+        if (mesh.opacity > 0.0f || mesh.texture) return meshes_.add(mesh);
+        casters_.transparent += mesh.triangleCount;
+        return {};
+    }
+    /// Between batches: frees what was given up.
+    Status tell(std::uint64_t done) {
+        grid_.settle();
+        if (grid_.overrun()) return tooLarge(settings_.options);
+        const double all = double(settings_.triangles);
+        const double part = double(done + casters_.transparent);
+        return progress_("rasterising", all > 0.0 && part <= all ? part / all : -1.0);
+    }
+
+    const FaceSettings& settings_;
+    const Progress& progress_;
+    SampleGrid& grid_;
+    raster::Rasteriser meshes_;
+    raster::StrandRasteriser strands_;
+    raster::VolumeMarcher volumes_;
+    BakeReport casters_;
+    std::uint64_t triangles_ = 0;
+};
+
+Status draw(Visits& visits, const Projection& projection, const FaceSettings& settings,
+            SampleGrid& grid, Face& face) {
+    Drawing drawing(projection, settings, visits.progress(), grid);
+    if (auto s = visits.progress()("rasterising", -1.0); !s) return s;
+    const Status status =
+        visits.each([&](const CasterView& caster) { return drawing.add(caster); });
+    if (!status) return status;
+    if (auto s = drawing.finish(); !s) return s;
+    drawing.count(face);
+    return {};
+}
+
+CompressOptions compressOptions(const Projection& projection,
+                                const FaceSettings& settings) {
+    const BakeOptions& o = settings.options;
+    const raster::MergeDepth length = footprints(projection, o.layerLength);
+    CompressOptions c;
+    c.tolerance = o.tolerance;
+    c.opticalDepth = o.layerOpticalDepth;
+    c.lengthBase = length.base;
+    c.lengthPerDepth = length.perDepth;
+    c.resets = o.resets;
+    c.layers = settings.layers;
+    c.channels = settings.channels;
+    return c;
+}
+
+/// Compresses a band's samples, emptying it.
+Status compress(SampleGrid& grid, const CompressOptions& options,
+                const Progress& progress, std::uint64_t& bytes, Face& face) {
+    constexpr const char* kStage = "compressing";
+    const std::uint32_t columns = grid.tilesX();
+    std::vector<CompressReport> reports(columns);
+    std::vector<std::uint64_t> samples(columns);
+    for (std::uint32_t ty = grid.firstRow(); ty < grid.endRow(); ++ty) {
+        if (auto s = progress(kStage, double(ty) / grid.tilesY()); !s) return s;
+        const auto compressTiles = [&](std::uint32_t begin, std::uint32_t end) {
+            PixelCompressor compressor(options);
+            std::vector<std::uint32_t> first;
+            SampleList list;
+            for (std::uint32_t tx = begin; tx < end; ++tx) {
+                SampleTile& tile = grid.tile(tx, ty);
+                reports[tx] = {};
+                samples[tx] = tile.samples();
+                if (tile.empty()) continue;
+                tile.sorted(first, list);
+                tile.clear();
+                face.tiles[std::size_t(ty) * columns + tx] =
+                    compressor.compressTile(first, list, reports[tx]);
+            }
+        };
+        base::parallelRanges(0u, columns, 1u, compressTiles);
+        for (std::uint32_t tx = 0; tx < columns; ++tx) {
+            face.compression.merge(reports[tx]);
+            face.samples += samples[tx];
+            bytes += bytesOf(face.tiles[std::size_t(ty) * columns + tx]);
+        }
+    }
+    return {};
+}
+
+}  // namespace
+
+Result<Face> bakeSamples(Visits& visits, const Projection& projection,
+                         const FaceSettings& settings) {
+    const BakeOptions& options = settings.options;
+    SampleGrid::Shape shape;
+    shape.width = options.width;
+    shape.height = options.height;
+    shape.channels = settings.channels;
+    shape.subsamples = options.subsamples;
+    shape.merge = footprints(projection, kMergeFootprints);
+    const auto tiles = [](std::uint32_t pixels) {
+        return (pixels + SampleGrid::kTileSize - 1) / SampleGrid::kTileSize;
+    };
+    const std::uint32_t tileRows = tiles(shape.height);
+    const CompressOptions compression = compressOptions(projection, settings);
+
+    Face face;
+    face.tiles.resize(std::size_t(tileRows) * tiles(shape.width));
+    std::uint64_t layerBytes = 0;
+    std::uint32_t rows = tileRows;  // of a band
+    for (std::uint32_t row = 0; row < tileRows; ++face.passes) {
+        if (layerBytes >= settings.bytesLeft) return tooLarge(options);
+        const auto limit =
+            std::uint64_t(kSamplesShare * double(settings.bytesLeft - layerBytes));
+        SampleGrid grid(shape, row, std::min(tileRows, row + rows), limit);
+        const Status drawn = draw(visits, projection, settings, grid, face);
+        face.rasterSeconds += visits.visitorSeconds();
+        rows = grid.endRow() - row;
+        if (grid.overrun() && rows > 1) {
+            rows /= 2;
+            continue;
+        }
+        if (!drawn) return drawn.error();
+        const double start = seconds();
+        if (auto s = compress(grid, compression, visits.progress(), layerBytes, face); !s)
+            return s.error();
+        face.compressSeconds += seconds() - start;
+        row = grid.endRow();
+    }
+    --face.passes;
+    face.samplesDropped =
+        face.compression.droppedByLayers + face.compression.droppedByResets;
+    return face;
+}
+
+}  // namespace mtsm::bake_detail
