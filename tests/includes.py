@@ -25,6 +25,7 @@ MAY_INCLUDE = {
 # Third-party headers that a module may use, by the start of their path.
 HEAVY = {
     "assimp": {"scene"},
+    "openvdb": {"scene"},
     "Imf": {"io"},
     "OpenEXR": {"io"},
     "Imath": {"io"},

@@ -5,7 +5,9 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <tuple>
 
+#include "base/finite.h"
 #include "base/printable.h"
 
 namespace mtsm::scene {
@@ -31,6 +33,28 @@ std::optional<T> recordOf(const std::vector<std::uint8_t>& payload) {
 
 bool isProportion(float x) {
     return x >= 0.0f && x <= 1.0f;
+}
+
+bool isAffine(const glm::dmat4& m) {
+    return base::isFinite(m[0]) && base::isFinite(m[1]) && base::isFinite(m[2]) &&
+           base::isFinite(m[3]) && m[0].w == 0.0 && m[1].w == 0.0 && m[2].w == 0.0 &&
+           m[3].w == 1.0;
+}
+
+/// True if all are where blocks may be, and none is there twice.
+bool areBlocks(std::vector<glm::ivec3> blocks) {
+    const auto isBlock = [](glm::ivec3 block) {
+        const auto fits = [](int i) {
+            return i % VolumeView::kBlockSide == 0 && i >= -kMostIndex && i < kMostIndex;
+        };
+        return fits(block.x) && fits(block.y) && fits(block.z);
+    };
+    const auto before = [](glm::ivec3 a, glm::ivec3 b) {
+        return std::tie(a.x, a.y, a.z) < std::tie(b.x, b.y, b.z);
+    };
+    std::sort(blocks.begin(), blocks.end(), before);
+    return std::all_of(blocks.begin(), blocks.end(), isBlock) &&
+           std::adjacent_find(blocks.begin(), blocks.end()) == blocks.end();
 }
 
 }  // namespace
@@ -60,6 +84,17 @@ void FrameWriter::mesh(std::span<const float> coordinates,
 
 void FrameWriter::light(const LightRecord& light, std::string_view name) {
     frame(FrameKind::light, bytesOf(light), name);
+}
+
+void FrameWriter::volume(const glm::dmat4& worldFromIndex,
+                         std::span<const glm::ivec3> blocks) {
+    const VolumeHead head{worldFromIndex, blocks.size()};
+    frame(FrameKind::volume, bytesOf(head), {});
+    out_.write(blocks.data(), blocks.size_bytes());
+}
+
+void FrameWriter::densities(std::span<const float, VolumeView::kBlockVoxels> block) {
+    out_.write(block.data(), block.size_bytes());
 }
 
 std::string Frame::text(std::size_t from) const {
@@ -96,7 +131,7 @@ std::optional<PlacedMesh> FrameReader::mesh(const Frame& frame) {
     const auto head = recordOf<MeshHead>(frame.payload);
     if (!head) return std::nullopt;
     const auto fits = [&](std::uint64_t count, std::uint64_t bytesEach) {
-        return count <= maxMeshBytes_ / bytesEach;
+        return count <= maxBytes_ / bytesEach;
     };
     if (!fits(head->vertices, sizeof(glm::vec3)) || !fits(head->triangles, 12) ||
         !fits(head->instances, sizeof(Instance)) ||
@@ -112,6 +147,22 @@ std::optional<PlacedMesh> FrameReader::mesh(const Frame& frame) {
                      [](const Instance& i) { return isProportion(i.opacity); }))
         return std::nullopt;
     return mesh;
+}
+
+std::optional<PlacedVolume> FrameReader::volume(const Frame& frame) {
+    const auto head = recordOf<VolumeHead>(frame.payload);
+    if (!head || !isAffine(head->worldFromIndex) ||
+        head->blocks > maxBytes_ / PlacedVolume::kBlockBytes ||
+        head->blocks > std::numeric_limits<std::uint32_t>::max())
+        return std::nullopt;
+    PlacedVolume volume;
+    volume.worldFromIndex = head->worldFromIndex;
+    if (!fill(volume.blocks, head->blocks) || !areBlocks(volume.blocks) ||
+        !fill(volume.density, head->blocks * VolumeView::kBlockVoxels) ||
+        !std::all_of(volume.density.begin(), volume.density.end(),
+                     [](float d) { return d >= 0.0f && std::isfinite(d); }))
+        return std::nullopt;
+    return volume;
 }
 
 std::optional<FileLight> FrameReader::light(const Frame& frame) {

@@ -3,6 +3,7 @@
 // The child sends a sequence of frames: an 8-byte head (kind, payload size in bytes) and
 // the payload. A mesh frame's payload is a MeshHead; behind it come, outside the frame,
 // its instances, positions and indices as they lie in memory: both sides are one binary.
+// A volume frame is followed in the same way by its blocks and their densities.
 // The last frame is `end` or `failure`; a stream without either was cut off.
 //
 // The child has parsed a file that may be hostile, so the parent believes nothing: sizes
@@ -28,8 +29,9 @@ enum class FrameKind : std::uint32_t {
     name = 2,     ///< text: a name that include and exclude could have matched
     mesh = 3,     ///< MeshHead
     light = 4,    ///< LightRecord, then the name
-    failure = 5,  ///< ErrorCode as a u32, then the text: the file cannot be used
-    end = 6       ///< nothing: all has been said
+    volume = 5,   ///< VolumeHead
+    failure = 6,  ///< ErrorCode as a u32, then the text: the file cannot be used
+    end = 7       ///< nothing: all has been said
 };
 
 inline constexpr std::uint32_t kMaxFrameBytes = 4096;
@@ -58,6 +60,26 @@ struct PlacedMesh {
     }
 };
 
+struct VolumeHead {
+    glm::dmat4 worldFromIndex{1.0};
+    std::uint64_t blocks = 0;
+};
+
+/// A fog volume: see VolumeView.
+struct PlacedVolume {
+    std::vector<glm::ivec3> blocks;
+    std::vector<float> density;
+    glm::dmat4 worldFromIndex{1.0};
+
+    /// Per block.
+    static constexpr std::uint64_t kBlockBytes =
+        sizeof(glm::ivec3) + VolumeView::kBlockVoxels * sizeof(float);
+    [[nodiscard]] std::uint64_t bytes() const { return blocks.size() * kBlockBytes; }
+};
+
+/// Blocks lie within [-kMostIndex, kMostIndex) on every axis.
+inline constexpr int kMostIndex = 1 << 30;
+
 struct LightRecord {
     glm::dvec3 position, direction, up;
     double width = 0, height = 0;  ///< rect
@@ -77,6 +99,9 @@ class FrameWriter {
     void mesh(std::span<const float> coordinates, std::span<const std::uint32_t> indices,
               std::span<const Instance> instances);
     void light(const LightRecord& light, std::string_view name);
+    /// The densities of all blocks follow, one call of densities() for each.
+    void volume(const glm::dmat4& worldFromIndex, std::span<const glm::ivec3> blocks);
+    void densities(std::span<const float, VolumeView::kBlockVoxels> block);
     void end() { frame(FrameKind::end, {}, {}); }
 
   private:
@@ -96,13 +121,14 @@ struct Frame {
 /// The parent's side.
 class FrameReader {
   public:
-    /// No mesh may be larger than maxMeshBytes.
-    FrameReader(Isolated& in, std::uint64_t maxMeshBytes)
-        : in_(in), maxMeshBytes_(maxMeshBytes) {}
+    /// No mesh and no volume may be larger than maxBytes.
+    FrameReader(Isolated& in, std::uint64_t maxBytes) : in_(in), maxBytes_(maxBytes) {}
     /// The next frame; nothing at the end of the stream or if what comes is no frame.
     [[nodiscard]] std::optional<Frame> next();
     /// What follows a mesh frame; nothing if it is cut off or breaks a rule.
     [[nodiscard]] std::optional<PlacedMesh> mesh(const Frame& frame);
+    /// What follows a volume frame; nothing if it is cut off or breaks a rule.
+    [[nodiscard]] std::optional<PlacedVolume> volume(const Frame& frame);
     /// What a light frame says; nothing if it breaks a rule.
     [[nodiscard]] static std::optional<FileLight> light(const Frame& frame);
 
@@ -110,7 +136,7 @@ class FrameReader {
     template <typename T>
     bool fill(std::vector<T>& to, std::uint64_t count);
     Isolated& in_;
-    std::uint64_t maxMeshBytes_;
+    std::uint64_t maxBytes_;
 };
 
 }  // namespace mtsm::scene

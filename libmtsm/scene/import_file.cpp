@@ -96,6 +96,13 @@ Status receive(Isolated& child, const std::string& path, std::uint64_t importerB
                 if (Status s = sink.mesh(std::move(*mesh)); !s) return s;
                 break;
             }
+            case FrameKind::volume: {
+                auto volume = reader.volume(*frame);
+                if (!volume) return nonsense(path);
+                if (!sink.volume) break;
+                if (Status s = sink.volume(std::move(*volume)); !s) return s;
+                break;
+            }
             case FrameKind::light: {
                 auto light = FrameReader::light(*frame);
                 if (!light) return nonsense(path);

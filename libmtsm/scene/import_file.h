@@ -11,7 +11,8 @@ namespace mtsm::scene {
 
 /// What to do with what a file holds. Absent ones are not called.
 struct ImportSink {
-    std::function<Status(PlacedMesh&&)> mesh;  ///< an Error stops the import
+    std::function<Status(PlacedMesh&&)> mesh;      ///< an Error stops the import
+    std::function<Status(PlacedVolume&&)> volume;  ///< the same
     std::function<void(FileLight&&)> light;
     std::function<void(std::string)> name;
     std::function<void(std::string)> warning;

@@ -3,6 +3,7 @@
 #include <string>
 
 #include "mtsm/scene.h"
+#include "mtsm/volume_files.h"
 #include "scene/frames.h"
 
 namespace mtsm::scene {
@@ -17,5 +18,12 @@ void sendMeshes(const std::string& path, const MeshFileOptions& options,
 /// Sends every light but ambient ones, in the file's order, then the warnings and the
 /// end.
 void sendLights(const std::string& path, FrameWriter& out);
+
+/// Sends the grid of fog that `options` ask for, then warnings and the end. Fails on a
+/// file that OpenVDB refuses or that is cut off (badFile), one without such a grid
+/// (badArgument, unsupported), or a grid with more blocks than importerBytes hold
+/// (tooLarge).
+void sendVolume(const std::string& path, const VolumeFileOptions& options,
+                FrameWriter& out);
 
 }  // namespace mtsm::scene
