@@ -40,7 +40,11 @@ constexpr const char* kExamples =
     "finite) are lit.\n"
     "Output by extension: .exr (channels shadow and visibility), .png (8-bit grey), "
     ".csv;\n"
-    "points and rays without -o go to stdout as CSV.\n"
+    "points and rays without -o go to stdout as CSV. A map that was baked with --color\n"
+    "answers red, green and blue: .exr has the shadow factors as R, G, B and "
+    "visibility.R "
+    "and\n"
+    "so on, .png is in colour, CSV has columns shadow_r and so on.\n"
     "\nExamples:\n"
     "  one point, with the receiver's normal:\n"
     "    mtsm-query key.mtsm --point 0,0,0 --normal 0,1,0\n"
@@ -69,7 +73,7 @@ struct Arguments {
     std::int64_t samples = 64, seed = 0, threads = 0;
     std::optional<double> bias, threshold;
     LightOptions light;
-    std::optional<std::size_t> method, quantity, weight;
+    std::optional<std::size_t> method, quantity, weight, attenuation;
     std::string maxMemory = "8G";
     bool json = false, stats = false, quiet = false;
 };
@@ -164,6 +168,11 @@ void addOptions(CLI::App& app, Arguments& a) {
     addChoice(app, "--weight", a.weight, {"uniform", "cosine"},
               "plain mean over the light, or the ratio of\n"
               "irradiances, which needs normals (default: uniform)")
+        ->group("Query");
+    addChoice(app, "--attenuation", a.attenuation, {"multiply", "subtract"},
+              "a sample leaves a part of what reaches it, or takes\n"
+              "its share of all, as the paper does (default:\n"
+              "multiply)")
         ->group("Query");
     addLightSizeOptions(app, a.light,
                         "Light (default: the map's; another must lie within it)",
@@ -332,13 +341,27 @@ Receivers receivers(const Arguments& a, Kind kind, const AreaLight& light) {
     }
 }
 
+/// One of the results' quantities: a plane, or three of a map with coloured visibility.
+using Planes = std::vector<std::vector<float>>;
+
 /// What came of it, and what it took.
 struct Results {
-    std::vector<float> shadow;  ///< for rays: 1 - visibility
-    std::vector<float> visibility;
+    Planes shadow;  ///< for rays: 1 - visibility
+    Planes visibility;
     QueryStats stats;
     double seconds = 0;
 };
+
+constexpr const char* kColors[] = {"r", "g", "b"};
+
+/// 1 minus each value.
+Planes complement(const Planes& planes) {
+    Planes result = planes;
+    for (auto& plane : result)
+        for (float& v : plane)
+            v = 1.0f - v;
+    return result;
+}
 
 /// Runs `slice(begin, end)` over all of `count`.
 template <typename Slice>
@@ -364,10 +387,10 @@ void add(QueryStats& sum, const QueryStats& s) {
 Results queryPoints(const ShadowMap& map, const AreaLight& light,
                     const ShadowOptions& options, const Receivers& r, Talk& talk) {
     Results results;
-    results.shadow.assign(r.count, 0.0f);
+    results.shadow.assign(map.info().channels, std::vector<float>(r.count, 0.0f));
     std::vector<std::size_t> which;
     std::vector<glm::dvec3> points, normals;
-    std::vector<float> shadow;
+    std::vector<glm::vec3> shadow;
     const std::size_t step = std::clamp<std::size_t>(
         kSliceRays / std::size_t(options.samples), 1024, kMostSlice);
     results.seconds =
@@ -383,43 +406,53 @@ Results queryPoints(const ShadowMap& map, const AreaLight& light,
             }
             shadow.resize(which.size());
             QueryStats stats;
-            shadowFactors(map, light, points.data(), r.normal ? normals.data() : nullptr,
-                          points.size(), shadow.data(), options, &stats);
+            shadowFactorsColor(map, light, points.data(),
+                               r.normal ? normals.data() : nullptr, points.size(),
+                               shadow.data(), options, &stats);
             add(results.stats, stats);
-            for (std::size_t k = 0; k < which.size(); ++k)
-                results.shadow[which[k]] = shadow[k];
+            for (std::size_t c = 0; c < results.shadow.size(); ++c)
+                for (std::size_t k = 0; k < which.size(); ++k)
+                    results.shadow[c][which[k]] = shadow[k][int(c)];
         });
-    results.visibility.reserve(r.count);
-    for (float s : results.shadow)
-        results.visibility.push_back(1.0f - s);
+    results.visibility = complement(results.shadow);
     return results;
 }
 
 Results queryRays(const ShadowMap& map, const std::vector<ShadowRay>& rays,
                   const RayOptions& options, Talk& talk) {
     Results results;
-    results.visibility.resize(rays.size());
+    results.visibility.assign(map.info().channels, std::vector<float>(rays.size()));
+    std::vector<glm::vec3> visibility;
     results.seconds =
         inSlices(rays.size(), kMostSlice, talk, [&](std::size_t begin, std::size_t end) {
-            visibilities(map, rays.data() + begin, end - begin,
-                         results.visibility.data() + begin, options);
+            visibility.resize(end - begin);
+            visibilitiesColor(map, rays.data() + begin, end - begin, visibility.data(),
+                              options);
+            for (std::size_t c = 0; c < results.visibility.size(); ++c)
+                for (std::size_t k = 0; k < visibility.size(); ++k)
+                    results.visibility[c][begin + k] = visibility[k][int(c)];
         });
     results.stats.rays = rays.size();
-    results.shadow.reserve(rays.size());
-    for (float v : results.visibility)
-        results.shadow.push_back(1.0f - v);
+    results.shadow = complement(results.visibility);
     return results;
 }
 
 // --- results ---------------------------------------------------------------------------
 
-/// The result columns that --quantity leaves; `both` is the default.
+/// The result columns that --quantity leaves; `both` is the default. In colour a column
+/// each for red, green and blue.
 std::vector<CsvColumn> resultColumns(const Arguments& a, const Results& results,
                                      bool both) {
-    const CsvColumn shadow{"shadow", results.shadow.data()};
-    const CsvColumn visibility{"visibility", results.visibility.data()};
-    if (!a.quantity && both) return {shadow, visibility};
-    return {a.quantity.value_or(1) == 0 ? shadow : visibility};
+    std::vector<CsvColumn> columns;
+    const auto add = [&](const std::string& name, const Planes& planes) {
+        for (std::size_t c = 0; c < planes.size(); ++c)
+            columns.push_back(
+                {planes.size() == 1 ? name : name + "_" + kColors[c], planes[c].data()});
+    };
+    const bool all = !a.quantity && both;
+    if (all || a.quantity.value_or(1) == 0) add("shadow", results.shadow);
+    if (all || a.quantity.value_or(1) == 1) add("visibility", results.visibility);
+    return columns;
 }
 
 void writeTable(const Arguments& a, const std::vector<CsvColumn>& columns,
@@ -461,17 +494,26 @@ void writePicture(const Arguments& a, const Receivers& r, const AreaLight& light
                   Results& results) {
     const Writing writing(a.output);
     if (extension(a.output) == ".png") {
-        const auto& values =
+        const Planes& planes =
             a.quantity.value_or(1) == 0 ? results.shadow : results.visibility;
-        unwrap(writeImagePng(a.output,
-                             greyImage(r.data.width, r.data.height, values, 0.0f, 1.0f)));
+        const std::uint32_t w = r.data.width, h = r.data.height;
+        unwrap(writeImagePng(a.output, planes.size() == 1
+                                           ? greyImage(w, h, planes[0], 0.0f, 1.0f)
+                                           : colorImage(w, h, planes[0], planes[1],
+                                                        planes[2], 0.0f, 1.0f)));
         return;
     }
     FloatImage image(r.data.width, r.data.height);
     image.data = r.data;
     image.display = r.display;
-    image.channels.push_back({"shadow", std::move(results.shadow)});
-    image.channels.push_back({"visibility", std::move(results.visibility)});
+    const bool colored = results.shadow.size() == 3;
+    for (std::size_t c = 0; c < results.shadow.size(); ++c) {
+        const std::string color = std::string(1, "RGB"[c]);
+        image.channels.push_back(
+            {colored ? color : "shadow", std::move(results.shadow[c])});
+        image.channels.push_back({colored ? "visibility." + color : "visibility",
+                                  std::move(results.visibility[c])});
+    }
     image.attributes = {{"mtsm:map", a.map}, {"mtsm:light", lightText(light)}};
     unwrap(writeImageExr(a.output, image));
 }
@@ -498,13 +540,18 @@ void printJson(const nlohmann::ordered_json& j) {
     print(jsonText(j));
 }
 
-/// One object per result, unless they are a picture or too many.
+/// One object per result, unless they are a picture or too many. In colour three numbers.
 nlohmann::ordered_json valuesJson(const Arguments& a, const Results& results) {
+    const auto numbers = [](const Planes& planes, std::size_t i) {
+        if (planes.size() == 1) return nlohmann::ordered_json(planes[0][i]);
+        return nlohmann::ordered_json::array({planes[0][i], planes[1][i], planes[2][i]});
+    };
     auto values = nlohmann::ordered_json::array();
-    for (std::size_t i = 0; i < results.shadow.size(); ++i) {
+    for (std::size_t i = 0; i < results.shadow.front().size(); ++i) {
         nlohmann::ordered_json value;
-        if (a.quantity.value_or(0) == 0) value["shadow"] = results.shadow[i];
-        if (a.quantity.value_or(1) == 1) value["visibility"] = results.visibility[i];
+        if (a.quantity.value_or(0) == 0) value["shadow"] = numbers(results.shadow, i);
+        if (a.quantity.value_or(1) == 1)
+            value["visibility"] = numbers(results.visibility, i);
         values.push_back(std::move(value));
     }
     return values;
@@ -538,7 +585,7 @@ void report(const Arguments& a, Kind kind, const Receivers& r, const Results& re
     sayStats(a, r, results, talk);
     if (!a.json) return;
     auto j = statsJson(a, r, results);
-    if (!isPicture(kind) && results.shadow.size() <= kFewValues)
+    if (!isPicture(kind) && results.shadow.front().size() <= kFewValues)
         j["values"] = valuesJson(a, results);
     printJson(j);
 }
@@ -552,10 +599,15 @@ void refuseLongJson(const Arguments& a, std::size_t count) {
                          "; give -o FILE.csv for them");
 }
 
+Attenuation attenuation(const Arguments& a) {
+    return a.attenuation.value_or(0) == 1 ? Attenuation::subtract : Attenuation::multiply;
+}
+
 void runRays(const Arguments& a, const ShadowMap& map, Talk& talk) {
     RayOptions options;
     if (a.bias) options.bias = float(*a.bias);
     if (a.threshold) options.threshold = float(*a.threshold);
+    options.attenuation = attenuation(a);
     const std::vector<ShadowRay> rays = unwrap(readRays(a.raysFile));
     refuseLongJson(a, rays.size());
     const Results results = queryRays(map, rays, options, talk);
@@ -575,6 +627,7 @@ void runPoints(const Arguments& a, Kind kind, const ShadowMap& map, Talk& talk) 
     if (a.threshold) options.threshold = float(*a.threshold);
     options.method = a.method.value_or(0) == 1 ? ShadowMethod::pcf : ShadowMethod::trace;
     options.weight = a.weight.value_or(0) == 1 ? Weight::cosine : Weight::uniform;
+    options.attenuation = attenuation(a);
     unwrap(checkQuery(map, light, options));
 
     const Receivers r = receivers(a, kind, light);
