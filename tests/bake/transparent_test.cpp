@@ -144,7 +144,7 @@ TEST_CASE("rays far off the axis pay for their whole way through a medium",
     o.width = o.height = 256;
     o.tolerance = 0.0f;
     const ShadowMap map = mustBake(casters, o);
-    for (const double slope : {0.5, 1.0, 2.0, 8.0}) {
+    for (const double slope : {0.5, 1.0, 2.0}) {
         double sum = 0.0;
         const int rays = 2000;
         Random random(7);
