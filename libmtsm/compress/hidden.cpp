@@ -24,7 +24,7 @@ namespace {
 
 constexpr float kNone = std::numeric_limits<float>::infinity();
 constexpr std::uint32_t kRowsPerTask = 32;
-constexpr double kMostPixels = 64.0;  // across a window
+constexpr double kMostPixels = 256.0;  // across a window
 
 struct Interval {
     double low = 0.0, high = 0.0;
@@ -161,14 +161,23 @@ class Walls {
     void find(const MapInfo& info, const MapFace& face);
     void build();
 
-    /// May a ray not slip through between two neighbours at these depths?
+    /// Does no ray slip through between neighbours at these depths? It would have to be
+    /// further than the threshold from both where it changes pixels.
     [[nodiscard]] bool joined(float a, float b) const noexcept {
-        return std::abs(double(a) - b) <= bias_ + biasPerDepth_ * std::min(a, b);
+        constexpr double kAlmost = 1.0 - 1e-6;  // rays are rounded, too
+        return std::abs(double(a) - b) <=
+               2.0 * kAlmost * (bias_ + biasPerDepth_ * std::min(a, b));
     }
+    /// Of a pixel and its neighbours on the right and below; rays cross corners, too.
     [[nodiscard]] ZRange pixel(std::uint32_t x, std::uint32_t y) const noexcept {
         const float z = at(x, y);
-        const bool closed = z < kNone && (x + 1 == width_ || joined(z, at(x + 1, y))) &&
-                            (y + 1 == height_ || joined(z, at(x, y + 1)));
+        const bool right = x + 1 < width_, below = y + 1 < height_;
+        bool closed = z < kNone;
+        if (right) closed = closed && joined(z, at(x + 1, y));
+        if (below) closed = closed && joined(z, at(x, y + 1));
+        if (right && below)
+            closed = closed && joined(z, at(x + 1, y + 1)) &&
+                     joined(at(x + 1, y), at(x, y + 1));
         return {z, closed ? z : kNone};
     }
     [[nodiscard]] ZRange node(std::uint32_t level, std::uint32_t x,
