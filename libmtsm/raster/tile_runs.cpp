@@ -181,20 +181,19 @@ void TileRuns::addInside(const Edge& e) {
     addToCell(last, part);
 }
 
-/// The area to the right of an edge in a pixel, and the integral of the way over it:
-/// along y the inner integral is a quadratic, for which Simpson's rule is exact.
+/// The area to the right of an edge in a pixel, and the integral of the way over it: that
+/// along x first, which leaves a quadratic in y.
 void TileRuns::addToCell(std::int32_t x, const Edge& e) {
     Cell& cell = cells_[std::size_t(x)];
     const double right = x + 1, dy = (e.y1 - e.y0) * e.sign;
-    const double xm = 0.5 * (e.x0 + e.x1), ym = 0.5 * (e.y0 + e.y1);
-    const auto inner = [&](double ex, double ey) {
-        return (right - ex) * way_(0.5 * (ex + right), ey);
-    };
-    cell.area += dy * (right - xm);
-    cell.moment +=
-        dy * (inner(e.x0, e.y0) + 4.0 * inner(xm, ym) + inner(e.x1, e.y1)) / 6.0;
+    const double a0 = right - e.x0, a1 = right - e.x1, a = a0 + a1, y = e.y0 + e.y1;
+    cell.area += dy * 0.5 * a;
+    cell.moment += dy * (0.5 * a * (way_.at + way_.dx * right) +
+                         ((a * y + a0 * e.y0 + a1 * e.y1) * way_.dy -
+                          (a * a - a0 * a1) * way_.dx) *
+                             (1.0 / 6.0));
     cell.cover += dy;
-    cell.coverY += dy * ym;
+    cell.coverY += dy * 0.5 * y;
     firstCell_ = std::min(firstCell_, x);
     lastCell_ = std::max(lastCell_, x);
 }
