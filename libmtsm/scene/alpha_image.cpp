@@ -121,6 +121,8 @@ Result<AlphaImage> readNamed(const std::string& name, OIIO::Filesystem::IOProxy*
         OIIO::attribute("exr_threads", -1);  // none beside the caller's
         OIIO::ImageSpec asStored;
         asStored.attribute("oiio:UnassociatedAlpha", 1);
+        // Given this way too, or some readers look for a file of that name.
+        if (proxy) asStored.attribute("oiio:ioproxy", OIIO::TypeDesc::PTR, &proxy);
         const auto input = OIIO::ImageInput::open(name, &asStored, proxy);
         if (!input) return makeError(ErrorCode::badFile, reasonOf(OIIO::geterror()));
         return readOpened(*input, wanted);

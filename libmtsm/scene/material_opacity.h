@@ -24,7 +24,8 @@ struct UvTransform {
 
 /// An image that opacity is read from.
 struct TextureUse {
-    std::string image;  ///< as the file names it; "*2": the third that is embedded in it
+    std::string image;   ///< as the file names it; "*2": the third that is embedded in it
+    bool given = false;  ///< by the caller, not by the file: `image` is a path
     /// It was made for opacities. Then they are its alpha, or its brightness where it has
     /// no alpha channel or one that is 1 all over. Else it holds colours, and only alpha
     /// counts.

@@ -8,6 +8,7 @@
 
 #include "base/message.h"
 #include "scene/find_image.h"
+#include "scene/name_filter.h"
 
 namespace mtsm::scene {
 namespace {
@@ -80,6 +81,26 @@ Materials::Materials(const std::string& path, const aiScene& scene, SourceFormat
         stated_.push_back(std::move(stated));
         castConstant(m);
     }
+    replaceTextures();
+}
+
+void Materials::replaceTextures() {
+    for (const MaterialTexture& given : options_.textures) {
+        const NameFilter filter({given.material}, {});
+        for (unsigned m = 0; m < scene_.mNumMaterials; ++m) {
+            const aiString name = scene_.mMaterials[m]->GetName();
+            const char* const names[] = {name.C_Str()};
+            if (!filter.passes(names)) continue;
+            stated_[m].texture.reset();
+            stated_[m].guessed = false;
+            if (given.image.empty()) continue;
+            TextureUse& use = stated_[m].texture.emplace();
+            use.image = given.image;
+            use.given = use.madeForOpacity = true;
+        }
+        for (const std::string& pattern : filter.unmatched())
+            unmatched_.push_back(pattern);
+    }
 }
 
 void Materials::castConstant(unsigned material) {
@@ -107,8 +128,9 @@ void Materials::plan(unsigned material) {
     const MaterialOpacity& stated = stated_[material];
     const TextureUse& texture = *stated.texture;
     if (stated.guessed && !mayHaveAlpha(texture.image)) return;
-    const bool embedded = scene_.GetEmbeddedTexture(texture.image.c_str()) != nullptr;
-    Job job{embedded ? texture.image : findImage(path_, texture.image),
+    const bool asItIs =
+        texture.given || scene_.GetEmbeddedTexture(texture.image.c_str()) != nullptr;
+    Job job{asItIs ? texture.image : findImage(path_, texture.image),
             {texture.madeForOpacity, options_.color && texture.coloured},
             {material}};
     if (job.image.empty())
@@ -139,16 +161,22 @@ Result<AlphaImage> Materials::read(const Job& job) const {
     return alphaOfTexels(embedded->mWidth, embedded->mHeight, rgba, job.wanted);
 }
 
-void Materials::sendTextures() {
+Status Materials::sendTextures() {
     for (const Job& job : jobs_) {
         const Result<AlphaImage> image = read(job);
         if (image) {
             finish(job, *image);
-        } else {
-            const unsigned m = job.materials.front();
-            complain(m, stated_[m].texture->image, image.error().message);
+            continue;
         }
+        for (const unsigned m : job.materials)
+            if (stated_[m].texture->given)
+                return base::makeError(
+                    ErrorCode::io, job.image,
+                    ": cannot be used as a texture: ", image.error().message);
+        const unsigned m = job.materials.front();
+        complain(m, stated_[m].texture->image, image.error().message);
     }
+    return {};
 }
 
 /// Opacities from alphas. A single number multiplies them all, so that it need not be
@@ -244,6 +272,9 @@ void Materials::warn() const {
     if (complaints_ > kMostComplaints)
         out_.warning(base::concat(path_, ": ", complaints_ - kMostComplaints,
                                   " more textures are not used"));
+    for (const std::string& pattern : unmatched_)
+        out_.warning(base::concat(path_, ": no material's name matches the pattern \"",
+                                  pattern, "\"; case counts"));
     OddMaterials takenForOpaque, transmissive;
     for (unsigned m = 0; m < scene_.mNumMaterials; ++m) {
         if (!used_[m]) continue;

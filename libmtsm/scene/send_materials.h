@@ -45,7 +45,8 @@ class Materials {
     /// Says that the mesh will be sent; its material's image will be read.
     void use(const aiMesh& mesh);
     /// Reads the images, each once, and sends a texture for each way that one is used.
-    void sendTextures();
+    /// Fails (io) if one that the caller gave cannot be read.
+    [[nodiscard]] Status sendTextures();
     [[nodiscard]] const CastMaterial& of(const aiMesh& mesh) const {
         return cast_[mesh.mMaterialIndex];
     }
@@ -61,6 +62,7 @@ class Materials {
         AlphaWanted wanted;
         std::vector<unsigned> materials;
     };
+    void replaceTextures();
     void plan(unsigned material);
     [[nodiscard]] Result<AlphaImage> read(const Job& job) const;
     void finish(const Job& job, const AlphaImage& image);
@@ -80,6 +82,7 @@ class Materials {
     std::uint32_t sent_ = 0;
     std::size_t complaints_ = 0;
     OddMaterials noAlpha_, noUvs_, guessed_;
+    std::vector<std::string> unmatched_;  // patterns of options_.textures
 };
 
 }  // namespace mtsm::scene

@@ -164,15 +164,15 @@ std::vector<std::uint32_t> triangleIndices(const aiMesh& mesh, PolygonCutter& cu
     return indices;
 }
 
-void sendPlaced(const aiScene& scene, const Placement& placement, Materials& materials,
-                FrameWriter& out) {
+Status sendPlaced(const aiScene& scene, const Placement& placement, Materials& materials,
+                  FrameWriter& out) {
     static_assert(sizeof(aiVector3D) == 3 * sizeof(float));
     const auto placed = [&](const auto& visit) {
         for (unsigned m = 0; m < scene.mNumMeshes; ++m)
             if (!placement.places()[m].empty()) visit(*scene.mMeshes[m], m);
     };
     placed([&](const aiMesh& mesh, unsigned) { materials.use(mesh); });
-    materials.sendTextures();
+    if (Status s = materials.sendTextures(); !s) return s;
     PolygonCutter cutter;
     placed([&](const aiMesh& mesh, unsigned m) {
         const auto indices = triangleIndices(mesh, cutter);
@@ -185,6 +185,7 @@ void sendPlaced(const aiScene& scene, const Placement& placement, Materials& mat
         out.mesh({&mesh.mVertices[0].x, std::size_t(3) * mesh.mNumVertices}, uvs, indices,
                  instances, uvs.empty() ? kNoTexture : material.texture, material.tint);
     });
+    return {};
 }
 
 void failWithoutTriangles(const std::string& path, std::uint64_t points,
@@ -241,7 +242,8 @@ void sendMeshes(const std::string& path, const MeshFileOptions& options,
         return failWithoutTriangles(path, census.points, census.lines, out);
     const Placement placement(*file.scene(), filter);
     Materials materials(path, *file.scene(), file.format(), options, out);
-    sendPlaced(*file.scene(), placement, materials, out);
+    if (Status s = sendPlaced(*file.scene(), placement, materials, out); !s)
+        return out.failure(s.error().code, s.error().message);
     materials.warn();
     if (!placement.anyPassed()) {
         for (const std::string& name : placement.names())

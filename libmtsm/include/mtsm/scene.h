@@ -110,6 +110,12 @@ class CasterSource {
     virtual Status visit(const CasterVisitor& visitor) = 0;
 };
 
+/// An image that says how opaque materials are, whatever their file says of textures.
+struct MaterialTexture {
+    std::string material;  ///< shell pattern, matched against whole names
+    std::string image;     ///< path, as the process sees it; empty: no texture
+};
+
 struct MeshFileOptions {
     /// Shell patterns (`*`, `?`, `[a-z]`) matched against whole names: those of the mesh,
     /// its material, its node and all nodes above it. A mesh is a caster if `include` is
@@ -120,6 +126,10 @@ struct MeshFileOptions {
     /// multiplied by it, so a mask keeps its holes and has this opacity between them.
     /// Without it, see MeshFiles.
     std::optional<float> opacity;
+    /// For files that do not name their textures, or name what is none. Its alpha counts,
+    /// or without alpha its brightness. Of several that match, the last counts. An image
+    /// that cannot be read is an Error here; a pattern that matches nothing, a warning.
+    std::vector<MaterialTexture> textures;
     /// Materials that let some light through tint it: MeshView::tint, and textures of
     /// three channels where colours differ. Without it neither.
     bool color = false;
