@@ -74,7 +74,7 @@ Status rasterise(Visits& visits, const Placement& placed, const BakeOptions& opt
         const double all = double(placed.triangles);
         return progress("rasterising", all > 0.0 ? double(done) / all : -1.0);
     };
-    Rasteriser rasteriser(placed.projection, facing(options.cull), buffer,
+    Rasteriser rasteriser(placed.projections[0], facing(options.cull), buffer,
                           [&](std::uint64_t done) -> Status {
                               if (budget.exceeded()) return tooLarge(options);
                               return tell(done + report.transparent);
@@ -180,9 +180,9 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
 
     auto tiles = takeLayers(buffer, progress, info);
     if (!tiles) return tiles.error();
-    setBias(options, placed->projection, info);
+    setBias(options, placed->projections[0], info);
     std::vector<MapFace> faces(1);
-    faces[0].projection = placed->projection;
+    faces[0].projection = placed->projections[0];
     faces[0].tiles = *std::move(tiles);
     auto map = ShadowMap::create(std::move(info), std::move(faces));
     if (!map) return map.error();
