@@ -18,7 +18,7 @@ MAY_INCLUDE = {
     "format": {"base", "map"},
     "trace": {"base", "map"},
     "shadow": {"base", "map", "light", "trace"},
-    "bake": {"base", "map", "light", "scene", "raster"},
+    "bake": {"base", "map", "light", "scene", "raster", "compress"},
     "io": {"base"},
     "baseline": {"base", "map", "light", "trace", "shadow", "scene", "raster"},
 }
