@@ -34,8 +34,7 @@ using bench::Errors;
 using bench::Receivers;
 
 struct Options {
-    std::vector<std::string> files;
-    std::size_t furSegments = 0;
+    bench::SourceOptions casters;
     std::vector<double> lights{0.07, 0.25, 0.67};
     // Maps: every combination.
     std::vector<std::uint32_t> resolutions{1024}, layers, subsamples{1};
@@ -351,7 +350,7 @@ class Bench {
 
 int run(const Options& options) {
     printMachine();
-    const auto casters = bench::openCasters(options.files, options.furSegments);
+    const auto casters = bench::openCasters(options.casters);
     const double start = seconds();
     auto scene = EmbreeReference::build(*casters);
     if (!scene) return complain(scene.error());
@@ -371,10 +370,14 @@ int main(int argc, char** argv) {
     CLI::App app{
         "The error of a baked map against ray tracing, on a floor and on the object, by "
         "point and by pixel of a picture; lists are tried in all combinations."};
-    auto* files = app.add_option("file", options.files, "Files: the casters");
-    app.add_option("--fur", options.furSegments,
+    auto* files = app.add_option("file", options.casters.files,
+                                 "The casters: meshes, .hair, .tfx, .vdb");
+    app.add_option("--fur", options.casters.furSegments,
                    "Instead of files, a ball of fur with so many segments")
         ->excludes(files);
+    app.add_option("--hair-width", options.casters.hairWidth, "Of strands in files");
+    app.add_option("--hair-opacity", options.casters.hairOpacity, "Of strands in files");
+    app.add_option("--density-scale", options.casters.densityScale, "Of volumes");
     app.add_option(
            "--light", options.lights,
            "Diameters of the disk light, as shares of the object's largest extent")
@@ -411,7 +414,7 @@ int main(int argc, char** argv) {
                  "Ratio of irradiances instead of the plain mean");
     app.add_option("--threads", threads, "Threads (default: all)");
     CLI11_PARSE(app, argc, argv);
-    if (options.files.empty() && options.furSegments == 0) {
+    if (options.casters.files.empty() && options.casters.furSegments == 0) {
         std::fprintf(stderr, "bench_accuracy: give files or --fur\n");
         return 2;
     }

@@ -1,9 +1,12 @@
 #include "accuracy/sources.h"
 
+#include <cmath>
+#include <cstdio>
 #include <glm/geometric.hpp>
 #include <glm/gtc/constants.hpp>
 
 #include "accuracy/random.h"
+#include "mtsm/caster_files.h"
 
 namespace mtsm::bench {
 namespace {
@@ -55,10 +58,25 @@ class FurBall final : public CasterSource {
 
 }  // namespace
 
-std::unique_ptr<CasterSource> openCasters(const std::vector<std::string>& files,
-                                          std::size_t furSegments) {
-    if (furSegments > 0) return std::make_unique<FurBall>(furSegments);
-    return std::make_unique<MeshFiles>(files);
+std::unique_ptr<CasterSource> openCasters(const SourceOptions& options) {
+    if (options.furSegments > 0) return std::make_unique<FurBall>(options.furSegments);
+    std::vector<CasterFile> files;
+    for (const std::string& path : options.files) {
+        CasterFile file;
+        file.path = path;
+        if (mayHold(path, CasterKind::hair)) {
+            file.hairWidth = options.hairWidth;
+            file.hairOpacity = options.hairOpacity;
+        }
+        if (mayHold(path, CasterKind::volume))
+            file.densityScale = options.densityScale.value_or(file.densityScale);
+        files.push_back(std::move(file));
+    }
+    CasterFilesOptions reading;
+    reading.warn = [](const std::string& line) {
+        std::fprintf(stderr, "bench_accuracy: %s\n", line.c_str());
+    };
+    return std::make_unique<CasterFiles>(std::move(files), std::move(reading));
 }
 
 }  // namespace mtsm::bench

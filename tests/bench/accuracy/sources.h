@@ -2,6 +2,7 @@
 #pragma once
 #include <cstddef>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -9,8 +10,12 @@
 
 namespace mtsm::bench {
 
-/// Of files; of a ball of fur with about so many segments, if that is not 0.
-std::unique_ptr<CasterSource> openCasters(const std::vector<std::string>& files,
-                                          std::size_t furSegments);
+struct SourceOptions {
+    std::vector<std::string> files;  ///< as mtsm/caster_files.h has them
+    std::size_t furSegments = 0;     ///< not 0: a ball of fur with about so many instead
+    std::optional<float> hairWidth, hairOpacity, densityScale;  ///< of CasterFile
+};
+
+std::unique_ptr<CasterSource> openCasters(const SourceOptions& options);
 
 }  // namespace mtsm::bench
