@@ -424,20 +424,18 @@ bool meetMedia(const Layers& layers, const PixelCrossing& crossing,
     const Span surfaces = nearSurfaces(crossing);
     const double nearest = std::min(crossed.low.z, surfaces.low);
     const double farthest = std::max(crossed.high.z, surfaces.high);
-    const std::uint32_t begin = layers.from(nearest);
-    bool restart = layers.startsAt(begin);
-    for (std::uint32_t i = begin; i < layers.pixel.count; ++i) {
+    for (std::uint32_t i = layers.from(nearest); i < layers.pixel.count; ++i) {
         const double z = layers.pixel.z[i], zBefore = i > 0 ? layers.pixel.z[i - 1] : z;
         if (zBefore > farthest) break;
         const std::uint32_t n = layers.n(i);
-        const bool dark = layers.isDark(i);
-        const bool surface = dark && n == 1;
+        const bool surface = n == 1 && layers.isDark(i);
         const std::uint32_t count = surface ? z >= surfaces.low && z <= surfaces.high
                                             : crossed.samples(zBefore, z, n);
+        if (count == 0) continue;
         const bool last = surface || !(crossed.high < Cut{z, true});
-        if (take(layers, i, restart, count, last, crossing.stretch, options, state))
+        if (take(layers, i, layers.startsAt(i), count, last, crossing.stretch, options,
+                 state))
             return true;
-        restart = dark;
     }
     return false;
 }

@@ -312,12 +312,16 @@ TEST_CASE("layers on the receiver's tangent plane do not count, those above it d
 }
 
 TEST_CASE("nothing that a ray can be gives NaN or does not end", "[trace][extreme]") {
-    const ShadowMap map =
-        mapOf(test::plainInfo(16, 16, 8), test::plainProjection(16, 16),
-              [](std::uint32_t x, std::uint32_t y) {
-                  return std::vector<TestLayer>{
-                      {1e-6f, 0.9f, 1}, {float(x + y + 1), 0.5f, 3}, {1e9f, 0.1f, 1}};
-              });
+    const auto layers = [](std::uint32_t, std::uint32_t x, std::uint32_t y) {
+        return std::vector<TestLayer>{
+            {1e-6f, 0.9f, 1}, {float(x + y + 1), 0.5f, 3}, {1e9f, 0.1f, 1}};
+    };
+    MapInfo info = test::plainInfo(16, 16, 8);
+    std::vector<ShadowMap> maps = {
+        mapOf(info, std::vector{test::plainProjection(16, 16)}, layers),
+        mapOf(info, test::cubeProjections(16), layers)};
+    info.translucent = Translucent::media;
+    maps.push_back(mapOf(info, test::cubeProjections(16), layers));
     const double values[] = {0.0, 1e-300, 1e-6, 1.0, 1e9, 1e150, 1e300};
     for (double a : values) {
         for (double b : values) {
@@ -329,11 +333,14 @@ TEST_CASE("nothing that a ray can be gives NaN or does not end", "[trace][extrem
                     if (ray.delta == glm::dvec3(0.0)) continue;
                     for (double end : {1.0, HUGE_VAL}) {
                         ray.tEnd = end;
+                        ray.tSurfaces = b;
                         TraceOptions options;
                         options.bias.base = a < 1e10 ? a : 0.0;
                         options.bias.perDepth = b < 10 ? b : 0.0;
-                        const float v = traceRay(map, ray, options)[0];
-                        REQUIRE((v >= 0.0f && v <= 1.0f));
+                        for (const ShadowMap& map : maps) {
+                            const float v = traceRay(map, ray, options)[0];
+                            REQUIRE((v >= 0.0f && v <= 1.0f));
+                        }
                     }
                 }
             }
