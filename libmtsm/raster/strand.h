@@ -49,10 +49,13 @@ inline constexpr double kRunFootprints = 4.0;
 /// outside and clipped; those that are in none of them were drawn whole.
 struct StrandCounts {
     std::uint64_t strands = 0, segments = 0;
-    std::uint64_t nonFinite = 0;    ///< a point or width is NaN, infinite or beyond 1e30
+    /// A point or width is NaN, infinite or beyond 1e30, or a width is negative, or an
+    /// opacity out of [0, 1].
+    std::uint64_t nonFinite = 0;
     std::uint64_t transparent = 0;  ///< opacity or width 0 all along, or a single point
-    std::uint64_t outside = 0;      ///< wholly outside window, near and far
-    std::uint64_t clipped = 0;      ///< cut by near or far, or reaching out of the window
+    /// Wholly outside window, near and far; or all of it along the view ray.
+    std::uint64_t outside = 0;
+    std::uint64_t clipped = 0;  ///< cut by near or far, or reaching out of the window
     /// Of those clipped or outside: what lies between near and far leaves the window.
     std::uint64_t leavesWindow = 0;
 

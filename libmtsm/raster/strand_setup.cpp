@@ -138,18 +138,13 @@ void StrandSetup::link(const Vertex& a, const Vertex& b,
     chain.push_back({{a, b}, normal, {half(a), half(b)}, length});
 }
 
-void StrandSetup::strand(const StrandsView& view, std::size_t s,
-                         const LightFromObject& toLight, double widthScale,
-                         std::uint32_t serial, Scratch& scratch, StrandCounts& counts,
-                         std::vector<PreparedSegment>& out) const {
+/// The strand's points in light space. False: it casts nothing, and is counted.
+bool StrandSetup::read(const StrandsView& view, std::size_t s,
+                       const LightFromObject& toLight, double widthScale,
+                       std::vector<Scratch::Point>& points, StrandCounts& counts) const {
     const std::size_t first = view.begin[s], end = view.begin[s + 1];
     ++counts.strands;
-    if (end - first < 2) {
-        ++counts.transparent;
-        return;
-    }
-    counts.segments += end - first - 1;
-    auto& points = scratch.points;
+    counts.segments += std::max<std::size_t>(end - first, 1) - 1;
     points.clear();
     bool wide = false, dense = false;
     for (std::size_t i = first; i < end; ++i) {
@@ -159,16 +154,23 @@ void StrandSetup::strand(const StrandsView& view, std::size_t s,
         if (!(usable(p.x) && usable(p.y) && usable(p.z) && width >= 0.0 &&
               usable(width * widthScale) && opacity >= 0.0f && opacity <= 1.0f)) {
             ++counts.nonFinite;
-            return;
+            return false;
         }
         wide = wide || width > 0.0;
         dense = dense || opacity > 0.0f;
         points.push_back({p, 0.5 * width * widthScale, opacity});
     }
-    if (!wide || !dense) {
-        ++counts.transparent;
-        return;
-    }
+    if (wide && dense && points.size() > 1) return true;
+    ++counts.transparent;
+    return false;
+}
+
+void StrandSetup::strand(const StrandsView& view, std::size_t s,
+                         const LightFromObject& toLight, double widthScale,
+                         std::uint32_t serial, Scratch& scratch, StrandCounts& counts,
+                         std::vector<PreparedSegment>& out) const {
+    const auto& points = scratch.points;
+    if (!read(view, s, toLight, widthScale, scratch.points, counts)) return;
 
     Output output{out, serial, 0, {}};
     auto& chain = scratch.chain;
@@ -259,14 +261,14 @@ void StrandSetup::emit(const Segment& s, glm::dvec2 side0, glm::dvec2 side1,
         if (std::min(from[axis], to[axis]) >= low[axis] &&
             std::max(from[axis], to[axis]) <= high[axis])
             continue;
-        const double ta = (low[axis] - from[axis]) / d,
-                     tb = (high[axis] - from[axis]) / d;
-        if (d == 0.0) {
+        if (d == 0.0) {  // it runs beside the window
             t1 = -1.0;
-        } else {
-            t0 = std::max(t0, std::min(ta, tb));
-            t1 = std::min(t1, std::max(ta, tb));
+            break;
         }
+        const double ta = (low[axis] - from[axis]) / d;
+        const double tb = (high[axis] - from[axis]) / d;
+        t0 = std::max(t0, std::min(ta, tb));
+        t1 = std::min(t1, std::max(ta, tb));
     }
     if (t0 > 0.0 || t1 < 1.0) out.fate.reachesOut = true;
     if (!(t0 < t1)) {

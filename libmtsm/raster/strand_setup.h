@@ -57,6 +57,10 @@ class StrandSetup {
     struct Fate;
     struct Output;
 
+    [[nodiscard]] bool read(const StrandsView& view, std::size_t s,
+                            const LightFromObject& toLight, double widthScale,
+                            std::vector<Scratch::Point>& points,
+                            StrandCounts& counts) const;
     [[nodiscard]] Vertex project(const Scratch::Point& p) const noexcept;
     [[nodiscard]] bool farOff(glm::dvec2 raster) const noexcept;
     [[nodiscard]] bool cut(Scratch::Point& a, Scratch::Point& b, Fate& fate) const;

@@ -1,7 +1,11 @@
 // HairFile: .hair, .tfx and OBJ polylines, whole and broken.
+#include <algorithm>
 #include <catch2/catch.hpp>
+#include <cmath>
 #include <cstdlib>
 #include <filesystem>
+#include <glm/common.hpp>
+#include <glm/geometric.hpp>
 #include <limits>
 
 #include "mtsm/hair_files.h"
@@ -456,6 +460,32 @@ TEST_CASE("options out of range, missing files and changed files are errors",
     REQUIRE(!seen.status);
     CHECK(seen.status.error().code == ErrorCode::io);
 }
+
+#ifdef MTSM_MAKE_FUR
+TEST_CASE("the sample fur is as large as asked, around its sphere, tapered",
+          "[scene][sample]") {
+    const TempFolder folder;
+    const std::string path = folder.path("fur.hair");
+    const std::string command =
+        "\"" MTSM_MAKE_FUR "\" -n 64000 --opacity 0.25 -o " + path + " 2>/dev/null";
+    REQUIRE(std::system(command.c_str()) == 0);
+    const SeenHair seen = seeHair(path);
+    INFO(seen.error());
+    REQUIRE(seen.strands.size() == 2000);
+    CHECK(2 * (seen.points() - seen.strands.size()) == 64000);
+    double furthest = 0;
+    for (const SeenStrand& s : seen.strands) {
+        REQUIRE(glm::length(s.points.front()) == Approx(1.0));
+        REQUIRE(s.widths.front() == Approx(0.003));
+        REQUIRE(s.widths.back() == Approx(0.0006));
+        REQUIRE(s.opacities.back() == Approx(0.25));
+        for (const glm::dvec3& p : s.points)
+            furthest = std::max(furthest, glm::length(p));
+    }
+    CHECK(furthest > 1.15);
+    CHECK(furthest < 1.6);
+}
+#endif
 
 TEST_CASE("real hair comes in with all its strands", "[scene][data]") {
     const char* data = std::getenv("MTSM_TEST_DATA");
