@@ -18,7 +18,7 @@ MAY_INCLUDE = {
     "format": {"base", "map"},
     "trace": {"base", "map"},
     "shadow": {"base", "map", "light", "trace"},
-    "bake": {"base", "map", "light", "scene", "raster"},
+    "bake": {"base", "map", "light", "scene", "raster", "compress"},
     "io": {"base"},
     "baseline": {"base", "map", "light", "trace", "shadow", "scene", "raster"},
 }
@@ -26,6 +26,7 @@ MAY_INCLUDE = {
 HEAVY = {
     "assimp": {"scene"},
     "openvdb": {"scene"},
+    "OpenImageIO": {"scene"},
     "Imf": {"io"},
     "OpenEXR": {"io"},
     "Imath": {"io"},

@@ -3,6 +3,8 @@
 #include <cmath>
 #include <cstdint>
 #include <functional>
+#include <glm/geometric.hpp>
+#include <glm/mat3x3.hpp>
 #include <random>
 #include <stdexcept>
 #include <vector>
@@ -110,25 +112,26 @@ struct TestLayer {
     std::uint32_t n = 1;
 };
 
-/// A one-channel, one-face map whose pixel (x, y) has the layers that `pixel(x, y)`
+/// A one-channel map whose pixel (x, y) of a face has the layers that pixel(face, x, y)
 /// returns.
-inline ShadowMap mapOf(
-    MapInfo info, const Projection& projection,
-    const std::function<std::vector<TestLayer>(std::uint32_t, std::uint32_t)>& pixel) {
+inline ShadowMap mapOf(MapInfo info, const std::vector<Projection>& projections,
+                       const std::function<std::vector<TestLayer>(
+                           std::uint32_t, std::uint32_t, std::uint32_t)>& pixel) {
     const std::uint32_t tilesX = (info.width + info.tileSize - 1) / info.tileSize;
     const std::uint32_t tilesY = (info.height + info.tileSize - 1) / info.tileSize;
-    std::vector<MapFace> faces(1);
-    faces[0].projection = projection;
-    for (std::uint32_t ty = 0; ty < tilesY; ++ty) {
-        for (std::uint32_t tx = 0; tx < tilesX; ++tx) {
+    std::vector<MapFace> faces(projections.size());
+    for (std::uint32_t f = 0; f < faces.size(); ++f) {
+        faces[f].projection = projections[f];
+        for (std::uint32_t tile = 0; tile < tilesX * tilesY; ++tile) {
             Tile t;
             t.begin.push_back(0);
-            const std::uint32_t x0 = tx * info.tileSize, y0 = ty * info.tileSize;
+            const std::uint32_t x0 = tile % tilesX * info.tileSize;
+            const std::uint32_t y0 = tile / tilesX * info.tileSize;
             for (std::uint32_t y = y0; y < std::min(info.height, y0 + info.tileSize);
                  ++y) {
                 for (std::uint32_t x = x0; x < std::min(info.width, x0 + info.tileSize);
                      ++x) {
-                    for (const TestLayer& layer : pixel(x, y)) {
+                    for (const TestLayer& layer : pixel(f, x, y)) {
                         t.z.push_back(layer.z);
                         t.v.push_back(layer.v);
                         t.n.push_back(layer.n);
@@ -136,12 +139,40 @@ inline ShadowMap mapOf(
                     t.begin.push_back(std::uint32_t(t.z.size()));
                 }
             }
-            faces[0].tiles.push_back(std::move(t));
+            faces[f].tiles.push_back(std::move(t));
         }
     }
     auto map = ShadowMap::create(std::move(info), std::move(faces));
     if (!map) throw std::runtime_error(map.error().message);
     return *std::move(map);
+}
+
+/// The same with one face.
+inline ShadowMap mapOf(
+    MapInfo info, const Projection& projection,
+    const std::function<std::vector<TestLayer>(std::uint32_t, std::uint32_t)>& pixel) {
+    return mapOf(
+        std::move(info), std::vector<Projection>{projection},
+        [&](std::uint32_t, std::uint32_t x, std::uint32_t y) { return pixel(x, y); });
+}
+
+/// Views of 90 degrees to all sides of `eye`, along the axes of the world, or of the
+/// world turned by `turn`.
+inline std::vector<Projection> cubeProjections(std::uint32_t width, glm::dvec3 eye = {},
+                                               const glm::dmat3& turn = glm::dmat3(1.0)) {
+    std::vector<Projection> faces;
+    for (int f = 0; f < 6; ++f) {
+        glm::dvec3 forward(0.0), up(0.0);
+        forward[f / 2] = f % 2 ? -1.0 : 1.0;
+        up[(f / 2 + 1) % 3] = 1.0;
+        Projection p = plainProjection(width, width);
+        p.eye = eye;
+        p.forward = turn * forward;
+        p.up = turn * up;
+        p.right = glm::cross(p.forward, p.up);
+        faces.push_back(p);
+    }
+    return faces;
 }
 
 }  // namespace mtsm::test

@@ -240,9 +240,10 @@ void lightRows(Rows& rows, const ShadowMap& map) {
     rows.row("bias", info.biasPerDepth > 0.0f && info.bias == 0.0f
                          ? numberText(info.biasPerDepth) + " of a layer's depth"
                          : numberText(info.bias) + " world units");
-    rows.row("translucent", info.translucent == Translucent::media
-                                ? "media: met at exact crossings, no bias"
-                                : "sheets: met within the bias, once");
+    if (!map.isOpaque())
+        rows.row("translucent", info.translucent == Translucent::media
+                                    ? "media: met at exact crossings, no bias"
+                                    : "sheets: met within the bias, once");
     if (info.metresPerUnit > 0)
         rows.row("world unit", numberText(info.metresPerUnit) + " m");
     if (info.castersClipped) rows.row("window", "some casters reach out of it");

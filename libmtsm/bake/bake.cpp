@@ -12,6 +12,7 @@
 #include "bake/visits.h"
 #include "base/message.h"
 #include "base/utf8.h"
+#include "compress/hidden.h"
 #include "raster/kbuffer.h"
 
 namespace mtsm {
@@ -75,7 +76,7 @@ MapInfo describe(const BakeOptions& options, const Placement& placed,
     info.toleranceAsked = options.tolerance;
     info.software = "libmtsm " MTSM_VERSION;
     info.settings = base::asUtf8(options.settings);
-    setBias(options, placed.projection, info);
+    setBias(options, placed.projections[0], info);
     return info;
 }
 
@@ -143,7 +144,7 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
     MapInfo info = describe(options, *placed, *kinds, settings);
     BakeReport report;
     std::vector<MapFace> faces;
-    for (const Projection& projection : {placed->projection}) {
+    for (const Projection& projection : placed->projections) {
         auto face = nearest ? bake_detail::bakeNearest(visits, projection, settings)
                             : bake_detail::bakeSamples(visits, projection, settings);
         if (!face) return face.error();
@@ -151,14 +152,21 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
         if (!options.cube) {
             if (auto s = checkOutside(*face, info, report); !s) return s.error();
         }
+        faces.push_back({projection, std::move(face->tiles)});
+        if (!options.keepHidden && !options.cube) {
+            if (auto s = progress("dropping what no light sees", -1.0); !s)
+                return s.error();
+            report.droppedHidden = compress::dropHidden(info, faces[0]).layers;
+        }
         std::uint64_t bytes = 0;
-        for (const Tile& tile : face->tiles)
+        for (const Tile& tile : faces.back().tiles)
             bytes += bake_detail::bytesOf(tile);
         if (bytes >= settings.bytesLeft) return tooLarge(options);
         settings.bytesLeft -= bytes;
-        faces.push_back({projection, std::move(face->tiles)});
     }
     report.readSeconds = visits.readSeconds();
+    if (report.droppedHidden > 0)
+        info.attributes.push_back({"hiddenLayers", std::int64_t(report.droppedHidden)});
     auto map = ShadowMap::create(std::move(info), std::move(faces));
     if (!map) return map.error();
     return Baked{*std::move(map), report};

@@ -36,10 +36,14 @@ double degrees(double radians) {
     return radians * (180.0 / glm::pi<double>());
 }
 
+/// Depth up to which nothing casts because it is inside the light.
+double lightEnds(const BakeOptions& options) {
+    if (options.light.shape != LightShape::sphere) return 0.0;
+    return options.light.radius / (options.cube ? std::sqrt(3.0) : 1.0);
+}
+
 Status checkDepths(const BakeOptions& options) {
-    const double lightEnds =
-        options.light.shape == LightShape::sphere ? options.light.radius : 0.0;
-    const double near = options.near.value_or(lightEnds);
+    const double near = options.near.value_or(lightEnds(options));
     const double far = options.far.value_or(kInfinity);
     if (!(near >= 0.0 && std::isfinite(near)))
         return invalid("--near ", near,
@@ -153,8 +157,8 @@ Status checkAngle(double tangent) {
         "the casters reach ", degrees(std::atan(tangent)),
         " degrees off the light's axis, and a fitted window can hold ",
         degrees(kMaxHalfAngle),
-        ": give a field of view with --fov, cut them off with --near, move the "
-        "light, or --exclude the casters beside it");
+        ": give a field of view with --fov, bake six views with --projection cube, cut "
+        "them off with --near, move the light, or --exclude the casters beside it");
 }
 
 Status checkOutside(glm::dvec3 p, const Extent& bounds) {
@@ -163,7 +167,7 @@ Status checkOutside(glm::dvec3 p, const Extent& bounds) {
     }
     return invalid("the light at ", text(p), " is inside the casters' bounds, ",
                    text(bounds.min), " to ", text(bounds.max),
-                   ", and six-face maps are not available yet: move it, --exclude the "
+                   ": bake six views with --projection cube, move it, --exclude the "
                    "casters around it, or give a field of view with --fov");
 }
 
@@ -174,11 +178,11 @@ Status checkAround(const Extent& seen, const BakeOptions& options) {
     if (options.near || seen.cut == 0 ||
         (shape != LightShape::point && shape != LightShape::sphere))
         return {};
-    return invalid(
-        seen.cut, " triangles of the casters lie beside or behind the ", name(shape),
-        " light at ", text(options.light.position),
-        ", and six-face maps are not available yet: move it away from them, --exclude "
-        "them, cut them off with --near, or give a field of view with --fov");
+    return invalid(seen.cut, " triangles of the casters lie beside or behind the ",
+                   name(shape), " light at ", text(options.light.position),
+                   ": bake six views with --projection cube, move it away from them, "
+                   "--exclude them, "
+                   "cut them off with --near, or give a field of view with --fov");
 }
 
 // --- finite lights and suns
@@ -208,13 +212,25 @@ double farEnd(glm::dvec3 p, const Extent& bounds) {
            0.5 * glm::length(bounds.max - bounds.min);
 }
 
+/// Depths in front of this count as at the light.
+double nearest(glm::dvec3 light, const Extent& bounds) {
+    if (bounds.empty()) return raster::kSmallestDepth;
+    return std::max(1e-6 * farEnd(light, bounds), raster::kSmallestDepth);
+}
+
+/// Turns a light that has a front.
+void aim(AreaLight& light, glm::dvec3 forward) {
+    if (light.shape != LightShape::disk && light.shape != LightShape::rect) return;
+    light.direction = forward;
+    if (light.shape == LightShape::rect) light.up = light::rectFrame(light).y;
+}
+
 Result<Placement> placeFinite(Visits& visits, const BakeOptions& options) {
     Placement placed;
     AreaLight& light = placed.light = options.light;
-    Projection& p = placed.projection;
+    Projection& p = placed.projections.emplace_back();
     const double radius = lightRadius(light);
-    const double ahead =
-        options.near.value_or(light.shape == LightShape::sphere ? radius : 0.0);
+    const double ahead = options.near.value_or(lightEnds(options));
     const double reach = options.far.value_or(kInfinity);
 
     Extent bounds;
@@ -231,16 +247,10 @@ Result<Placement> placeFinite(Visits& visits, const BakeOptions& options) {
     }
     auto forward = viewDirection(options, bounds);
     if (!forward) return forward.error();
-    if (light.shape == LightShape::disk || light.shape == LightShape::rect)
-        light.direction = *forward;
-    if (light.shape == LightShape::rect) light.up = light::rectFrame(light).y;
+    aim(light, *forward);
     orient(p, *forward, light.shape == LightShape::rect ? light.up : options.up);
 
-    // Depths in front of this count as at the light.
-    const double atLight =
-        bounds.empty()
-            ? raster::kSmallestDepth
-            : std::max(1e-6 * farEnd(light.position, bounds), raster::kSmallestDepth);
+    const double atLight = nearest(light.position, bounds);
     double pushBack = 0.0;
     p.eye = light.position;
     if (options.fov) {
@@ -268,10 +278,47 @@ Result<Placement> placeFinite(Visits& visits, const BakeOptions& options) {
     return placed;
 }
 
+Result<Placement> placeCube(Visits& visits, const BakeOptions& options) {
+    Placement placed;
+    AreaLight& light = placed.light = options.light;
+    const bool hasFront =
+        light.shape == LightShape::disk || light.shape == LightShape::rect;
+    const bool aimed = options.aimed || options.target || !hasFront;
+    const double ahead = options.near.value_or(lightEnds(options));
+    Extent bounds;
+    if (!aimed || ahead == 0.0) {
+        auto measured = measure(visits, worldFrame(), -kInfinity, kInfinity);
+        if (!measured) return measured.error();
+        bounds = *measured;
+        placed.triangles = bounds.triangles;
+        if (bounds.empty()) return nothingCasts(report(bounds));
+    }
+    if (hasFront) {
+        const auto forward = viewDirection(options, bounds);
+        if (!forward) return forward.error();
+        aim(light, *forward);
+    }
+    for (int face = 0; face < 6; ++face) {
+        glm::dvec3 forward(0.0), up(0.0);
+        forward[face / 2] = face % 2 ? -1.0 : 1.0;
+        up[face / 2 == 1 ? 2 : 1] = 1.0;
+        Projection& p = placed.projections.emplace_back();
+        p.eye = light.position;
+        p.forward = forward;
+        p.up = up;
+        p.right = glm::cross(forward, up) + 0.0;  // no -0
+        p.scale = 0.5 * pixelsOf(options) * glm::dvec2(1.0, -1.0);
+        p.offset = 0.5 * pixelsOf(options);
+        p.near = ahead > 0.0 ? ahead : nearest(light.position, bounds);
+        p.far = options.far.value_or(kInfinity);
+    }
+    return placed;
+}
+
 Result<Placement> placeSun(Visits& visits, const BakeOptions& options) {
     Placement placed;
     placed.light = options.light;
-    Projection& p = placed.projection;
+    Projection& p = placed.projections.emplace_back();
     p.kind = ProjectionKind::orthographic;
     auto bounds = measure(visits, worldFrame(), -kInfinity, kInfinity);
     if (!bounds) return bounds.error();
@@ -319,14 +366,26 @@ Status checkOptions(const BakeOptions& o) {
     if (o.fov && !(*o.fov >= kLeastFov && *o.fov < glm::pi<double>()))
         return invalid("--fov ", degrees(*o.fov), " degrees must be at least ",
                        degrees(kLeastFov), " and less than 180");
+    if (o.cube && o.light.shape == LightShape::sun)
+        return invalid(
+            "--projection cube: a sun shines from one side only and has no place to "
+            "look around from; leave --projection away");
+    if (o.cube && o.fov)
+        return invalid(
+            "--fov: each of the six views of --projection cube is 90 degrees "
+            "wide; leave one of the two away");
+    if (o.cube && o.width != o.height)
+        return invalid(
+            "--resolution ", o.width, "x", o.height,
+            ": the six views of --projection cube are square; give one number");
     if (o.bias && !(*o.bias >= 0.0f && std::isfinite(*o.bias)))
         return invalid("--bias ", *o.bias, " must be finite and not negative");
     return checkDepths(o);
 }
 
 Result<Placement> place(Visits& visits, const BakeOptions& options) {
-    return options.light.shape == LightShape::sun ? placeSun(visits, options)
-                                                  : placeFinite(visits, options);
+    if (options.light.shape == LightShape::sun) return placeSun(visits, options);
+    return options.cube ? placeCube(visits, options) : placeFinite(visits, options);
 }
 
 }  // namespace mtsm::bake_detail

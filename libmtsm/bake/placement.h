@@ -14,9 +14,26 @@
 // the eye itself (lights of no size) it is 1e-6 of the distance to the far end of the
 // casters' bounds instead.
 //
+// Six faces (BakeOptions::cube). The eye is the light's centre, whatever its shape: there
+// is no push-back. The faces look along +x, -x, +y, -y, +z, -z of the world, in this
+// order; up is +y, in the second pair +z. Each is a square window of 90 degrees, a
+// tangent of exactly 1, so that they share out all of space. Finite lights only.
+//
+// Here near keeps from casting what lies in a cube around the eye: of a sphere, the
+// largest cube that fits inside; of all other lights 1e-6 of the distance to the casters'
+// far end, as if they were points; or options.near. Of a light that has a size, what the
+// eye sees is not what its rim sees, but rays to the rim are traced all the same: they
+// end within the light, in pixels near the eye, which are narrow there and hold what is
+// seen from the eye.
+// Casters closer to the eye than the light's radius may so be missed where others hide
+// them, and between a sphere and the cube inside it casters do cast. What lies behind a
+// one-sided light is in the map, but never asked for.
+//
 // Suns. Orthographic, along the light's direction; the eye stands before the nearest
 // caster by a hundredth of the casters' extent.
 #pragma once
+#include <vector>
+
 #include "bake/measure.h"
 #include "bake/visits.h"
 #include "mtsm/bake.h"
@@ -29,9 +46,9 @@ inline constexpr double kMaxPixelAspect = 4.0;
 inline constexpr double kMaxHalfAngle = 1.4835298641951802;
 
 struct Placement {
-    AreaLight light;  ///< as it is stored: aimed, with unit vectors
-    Projection projection;
-    std::uint64_t triangles = 0;  ///< that the casters have; 0: not known
+    AreaLight light;                      ///< as it is stored: aimed, with unit vectors
+    std::vector<Projection> projections;  ///< one, or a cube's six
+    std::uint64_t triangles = 0;          ///< that the casters have; 0: not known
 };
 
 /// Refuses options that are out of range, whatever the casters are.

@@ -3,45 +3,61 @@
 #include <embree3/rtcore.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <glm/geometric.hpp>
+#include <glm/mat3x3.hpp>
+#include <glm/matrix.hpp>
 #include <glm/vec4.hpp>
 #include <limits>
 #include <vector>
 
+#include "base/finite.h"
 #include "base/message.h"
 #include "base/parallel.h"
 #include "base/sampling.h"
+#include "baseline/crossings.h"
+#include "baseline/volume_depth.h"
 #include "light/sample.h"
 
 namespace mtsm::baseline {
 namespace {
 
-constexpr float kDark = 1e-4f;  // rays with less visibility left end
-
-struct Context : RTCIntersectContext {
-    float visible = 1.0f;
+/// What Embree holds, in bytes.
+struct Memory {
+    std::atomic<std::int64_t> now{0}, peak{0};
 };
 
-/// Occlusion filter of a mesh with opacity: the hit is let through and the ray pays for
-/// it.
-void attenuate(const RTCFilterFunctionNArguments* args) {
-    auto& context = *static_cast<Context*>(args->context);
-    const float opacity = *static_cast<const float*>(args->geometryUserPtr);
-    for (unsigned i = 0; i < args->N; ++i) {
-        if (args->valid[i] != -1) continue;
-        context.visible *= 1.0f - opacity;
-        if (context.visible > kDark) args->valid[i] = 0;
+bool countMemory(void* memory, ssize_t bytes, bool) {
+    auto& m = *static_cast<Memory*>(memory);
+    const std::int64_t now = m.now += bytes;
+    std::int64_t peak = m.peak;
+    while (now > peak && !m.peak.compare_exchange_weak(peak, now)) {
     }
+    return true;
+}
+
+template <typename T>
+std::uint64_t bytesOf(const std::vector<T>& values) {
+    return values.size() * sizeof(T);
+}
+
+Error noMemory(const char* kind, std::size_t count, const char* parts) {
+    return base::makeError(ErrorCode::tooLarge, "Embree has no memory for ", kind, " of ",
+                           count, " ", parts);
 }
 
 }  // namespace
 
 struct EmbreeReference::Scene {
+    Memory memory;  // outlives the device
     RTCDevice device = nullptr;
     RTCScene scene = nullptr;
-    std::vector<std::unique_ptr<float>> opacities;
-    glm::dvec3 origin{0.0};  // what Embree's floats are relative to
+    std::vector<std::unique_ptr<TranslucentMesh>> meshes;
+    std::vector<std::unique_ptr<RibbonStrands>> strands;
+    std::vector<bool> isStrands;  // [geometries]
+    std::vector<VolumeDepth> volumes;
+    glm::dvec3 origin{0.0};  // what Embree's floats are relative to: a caster's vertex
     bool hasOrigin = false;
     glm::dvec3 low{std::numeric_limits<double>::infinity()};
     glm::dvec3 high{-std::numeric_limits<double>::infinity()};
@@ -55,12 +71,42 @@ struct EmbreeReference::Scene {
     }
 
     Status add(const MeshView& mesh);
-    [[nodiscard]] float visibility(glm::dvec3 from, glm::dvec3 delta,
-                                   bool endless) const noexcept;
+    Status add(const StrandsView& view);
+    Status add(const VolumeView& volume);
+    glm::vec3 place(glm::dvec3 world);
+    void attach(RTCGeometry geometry, bool strands);
+    [[nodiscard]] glm::vec3 visibility(glm::dvec3 from, glm::dvec3 delta, bool endless,
+                                       bool color) const noexcept;
+    [[nodiscard]] glm::vec3 shadow(const light::LightSampler& sampler, glm::dvec3 point,
+                                   glm::dvec3 normal, bool color,
+                                   const ReferenceOptions& options) const noexcept;
+    template <typename Out>
+    void shadows(const AreaLight& light, const glm::dvec3* points,
+                 const glm::dvec3* normals, std::size_t count, bool color,
+                 const ReferenceOptions& options, const Out& out) const noexcept;
 };
 
+/// Takes a vertex into the bounds and to Embree's space.
+glm::vec3 EmbreeReference::Scene::place(glm::dvec3 world) {
+    if (base::isFinite(world)) {
+        if (!hasOrigin) origin = world;
+        hasOrigin = true;
+        low = glm::min(low, world);
+        high = glm::max(high, world);
+    }
+    return glm::vec3(world - origin);
+}
+
+void EmbreeReference::Scene::attach(RTCGeometry geometry, bool asStrands) {
+    rtcCommitGeometry(geometry);
+    rtcAttachGeometry(scene, geometry);
+    rtcReleaseGeometry(geometry);
+    isStrands.push_back(asStrands);
+}
+
 Status EmbreeReference::Scene::add(const MeshView& mesh) {
-    if (mesh.triangleCount == 0 || mesh.opacity <= 0.0f) return {};
+    const bool textured = mesh.texture && mesh.uvs;
+    if (mesh.triangleCount == 0 || (!textured && mesh.opacity <= 0.0f)) return {};
     RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
     auto* vertices = static_cast<float*>(
         rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
@@ -70,38 +116,97 @@ Status EmbreeReference::Scene::add(const MeshView& mesh) {
                                 3 * sizeof(std::uint32_t), mesh.triangleCount));
     if (!vertices || !indices) {
         rtcReleaseGeometry(geometry);
-        return base::makeError(ErrorCode::tooLarge, "Embree has no memory for a mesh of ",
-                               mesh.triangleCount, " triangles");
+        return noMemory("a mesh", mesh.triangleCount, "triangles");
     }
     for (std::size_t i = 0; i < mesh.vertexCount; ++i) {
-        const glm::dvec3 world =
-            mesh.worldFromObject * glm::dvec4(mesh.positions[i], 1.0);
-        if (!hasOrigin && glm::dot(world, world) < 1e300) {
-            origin = world;
-            hasOrigin = true;
-        }
-        low = glm::min(low, world);
-        high = glm::max(high, world);
+        const glm::vec3 p =
+            place(mesh.worldFromObject * glm::dvec4(mesh.positions[i], 1.0));
         for (int c = 0; c < 3; ++c)
-            vertices[3 * i + std::size_t(c)] = float(world[c] - origin[c]);
+            vertices[3 * i + std::size_t(c)] = p[c];
     }
     std::copy_n(mesh.indices, 3 * mesh.triangleCount, indices);
-    if (mesh.opacity < 1.0f) {
-        opacities.push_back(std::make_unique<float>(mesh.opacity));
-        rtcSetGeometryUserData(geometry, opacities.back().get());
-        rtcSetGeometryOccludedFilterFunction(geometry, attenuate);
+    if (textured ? mesh.texture->translucent() : mesh.opacity < 1.0f) {
+        auto translucent = std::make_unique<TranslucentMesh>();
+        translucent->opacity = mesh.opacity;
+        translucent->channels = channelOpacity(mesh.opacity, mesh.tint);
+        translucent->indices = indices;
+        if (textured) {
+            translucent->texture = *mesh.texture;
+            translucent->uvs.assign(mesh.uvs, mesh.uvs + mesh.vertexCount);
+            rtcSetGeometryIntersectFilterFunction(geometry, passHoles);
+        }
+        rtcSetGeometryUserData(geometry, translucent.get());
+        rtcSetGeometryOccludedFilterFunction(geometry, payMesh);
+        meshes.push_back(std::move(translucent));
     }
-    rtcCommitGeometry(geometry);
-    rtcAttachGeometry(scene, geometry);
-    rtcReleaseGeometry(geometry);
+    attach(geometry, false);
     return {};
 }
 
-float EmbreeReference::Scene::visibility(glm::dvec3 from, glm::dvec3 delta,
-                                         bool endless) const noexcept {
-    Context context;
+Status EmbreeReference::Scene::add(const StrandsView& view) {
+    if (view.strandCount == 0 || (!view.opacities && view.opacity <= 0.0f)) return {};
+    auto ribbons = std::make_unique<RibbonStrands>();
+    RibbonStrands& r = *ribbons;
+    r.opacity = view.opacity;
+    const double scale =
+        0.5 * std::cbrt(std::abs(glm::determinant(glm::dmat3(view.worldFromObject))));
+    const std::size_t pointCount = view.begin[view.strandCount];
+    r.points.reserve(pointCount);
+    r.first.reserve(pointCount + 3);
+    for (std::size_t s = 0; s < view.strandCount; ++s) {
+        bool joined = false;  // to the point before
+        for (std::uint32_t i = view.begin[s]; i < view.begin[s + 1]; ++i) {
+            const glm::dvec3 world =
+                view.worldFromObject * glm::dvec4(view.points[i], 1.0);
+            const double radius = scale * (view.widths ? view.widths[i] : view.width);
+            if (!base::isFinite(world) || !std::isfinite(radius)) {
+                joined = false;
+                continue;
+            }
+            const glm::vec3 p = place(world);
+            if (joined && glm::vec3(r.points.back()) == p) continue;
+            if (joined) r.first.push_back(std::uint32_t(r.points.size() - 1));
+            r.points.emplace_back(p, float(std::max(radius, 0.0)));
+            if (view.opacities) r.opacities.push_back(view.opacities[i]);
+            joined = true;
+        }
+    }
+    r.segments = r.first.size();
+    if (r.segments == 0) return {};
+    r.first.resize(r.segments + 3);  // Embree reads four at a time
+    RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_FLAT_LINEAR_CURVE);
+    rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT4,
+                               r.points.data(), 0, sizeof(glm::vec4), r.points.size());
+    rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT,
+                               r.first.data(), 0, sizeof(std::uint32_t), r.segments);
+    rtcSetGeometryUserData(geometry, ribbons.get());
+    rtcSetGeometryOccludedFilterFunction(geometry, payStrands);
+    strands.push_back(std::move(ribbons));
+    attach(geometry, true);
+    return {};
+}
+
+Status EmbreeReference::Scene::add(const VolumeView& volume) {
+    if (!(volume.extinction > 0.0f)) return {};
+    for (std::size_t i = 0; i < volume.blockCount; ++i) {
+        for (int corner = 0; corner < 8; ++corner) {
+            const glm::dvec3 at(corner & 1, corner >> 1 & 1, corner >> 2);
+            const glm::dvec3 index =
+                glm::dvec3(volume.blocks[i]) - 0.5 + double(VolumeView::kBlockSide) * at;
+            (void)place(volume.worldFromIndex * glm::dvec4(index, 1.0));
+        }
+    }
+    volumes.emplace_back(volume);
+    return {};
+}
+
+glm::vec3 EmbreeReference::Scene::visibility(glm::dvec3 from, glm::dvec3 delta,
+                                             bool endless, bool color) const noexcept {
+    ShadowContext context;
     rtcInitIntersectContext(&context);
+    context.color = color;
     const double length = glm::length(delta);
+    if (!(length > 0.0) || !base::isFinite(from)) return glm::vec3(1.0f);
     const glm::dvec3 o = from - origin;
     RTCRay ray{};
     ray.org_x = float(o.x);
@@ -112,8 +217,61 @@ float EmbreeReference::Scene::visibility(glm::dvec3 from, glm::dvec3 delta,
     ray.dir_z = float(delta.z / length);
     ray.tfar = endless ? std::numeric_limits<float>::infinity() : float(length);
     ray.mask = ~0u;
+    context.reach = ray.tfar;
     rtcOccluded1(scene, &context, &ray);
-    return ray.tfar < 0.0f ? 0.0f : context.visible;
+    if (ray.tfar < 0.0f) return glm::vec3(0.0f);
+    double depth = 0.0;
+    for (const VolumeDepth& volume : volumes)
+        depth += volume.along(from, delta, endless);
+    return context.visible * float(std::exp(-depth));
+}
+
+/// One point's shadow factor, per channel.
+glm::vec3 EmbreeReference::Scene::shadow(const light::LightSampler& sampler,
+                                         glm::dvec3 point, glm::dvec3 normal, bool color,
+                                         const ReferenceOptions& options) const noexcept {
+    if (!base::isFinite(point) || sampler.isBehind(point)) return glm::vec3(0.0f);
+    const double offset = options.offset * glm::length(high - low);
+    const auto samples = sampler.isPoint()
+                             ? 1u
+                             : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
+    const double length = glm::length(normal);
+    if (length > 0.0) normal /= length;
+    const base::SquareSequence sequence(base::pointKey(point, options.seed));
+    glm::dvec3 visible(0.0);
+    double total = 0.0;
+    for (std::uint32_t s = 0; s < samples; ++s) {
+        const light::LightSample sample =
+            sampler.sample(point, sampler.isPoint() ? glm::dvec2(0.5) : sequence(s));
+        const double reach = glm::length(sample.delta);
+        if (!(reach > 0.0)) continue;
+        const double cosine = length > 0.0 ? glm::dot(sample.delta, normal) / reach : 1.0;
+        const double weight = options.weight == Weight::cosine && length > 0.0
+                                  ? std::max(0.0, cosine) * sample.weight
+                                  : 1.0;
+        total += weight;
+        if (cosine <= 0.0) continue;
+        const glm::dvec3 start = offset * (length > 0.0 ? normal : sample.delta / reach);
+        const glm::dvec3 delta =
+            sample.delta - (sample.endless ? glm::dvec3(0.0) : start);
+        visible +=
+            weight * glm::dvec3(visibility(point + start, delta, sample.endless, color));
+    }
+    return total > 0.0 ? glm::vec3(1.0 - visible / total) : glm::vec3(1.0f);
+}
+
+template <typename Out>
+void EmbreeReference::Scene::shadows(const AreaLight& light, const glm::dvec3* points,
+                                     const glm::dvec3* normals, std::size_t count,
+                                     bool color, const ReferenceOptions& options,
+                                     const Out& out) const noexcept {
+    const light::LightSampler sampler(light);
+    base::parallelRanges(
+        std::size_t(0), count, std::size_t(64), [&](std::size_t begin, std::size_t end) {
+            for (std::size_t i = begin; i < end; ++i)
+                out(i, shadow(sampler, points[i], normals ? normals[i] : glm::dvec3(0.0),
+                              color, options));
+        });
 }
 
 EmbreeReference::EmbreeReference(std::unique_ptr<Scene> scene)
@@ -127,13 +285,14 @@ Result<EmbreeReference> EmbreeReference::build(CasterSource& casters) {
     scene->device = rtcNewDevice(nullptr);
     if (!scene->device)
         return Error{ErrorCode::unsupported, "Embree cannot start on this machine"};
+    rtcSetDeviceMemoryMonitorFunction(scene->device, countMemory, &scene->memory);
     scene->scene = rtcNewScene(scene->device);
     // Not HIGH: spatial splits would count a transparent triangle twice.
     rtcSetSceneBuildQuality(scene->scene, RTC_BUILD_QUALITY_MEDIUM);
-    rtcSetSceneFlags(scene->scene, RTCSceneFlags(RTC_SCENE_FLAG_ROBUST |
-                                                 RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION));
-    const Status read =
-        casters.visit(meshesOnly([&](const MeshView& mesh) { return scene->add(mesh); }));
+    rtcSetSceneFlags(scene->scene, RTC_SCENE_FLAG_ROBUST);
+    const Status read = casters.visit([&](const CasterView& caster) {
+        return std::visit([&](const auto& view) { return scene->add(view); }, caster);
+    });
     if (!read) return read.error();
     rtcCommitScene(scene->scene);
     if (rtcGetDeviceError(scene->device) != RTC_ERROR_NONE)
@@ -146,6 +305,25 @@ glm::dvec3 EmbreeReference::boundsMin() const noexcept {
 }
 glm::dvec3 EmbreeReference::boundsMax() const noexcept {
     return scene_->high;
+}
+std::uint64_t EmbreeReference::memoryBytes() const noexcept {
+    std::uint64_t bytes = std::uint64_t(scene_->memory.now.load());
+    for (const auto& mesh : scene_->meshes)
+        bytes += bytesOf(mesh->uvs) + (mesh->texture ? mesh->texture->memoryBytes() : 0);
+    for (const auto& r : scene_->strands)
+        bytes += bytesOf(r->points) + bytesOf(r->first) + bytesOf(r->opacities);
+    for (const VolumeDepth& volume : scene_->volumes)
+        bytes += volume.memoryBytes();
+    return bytes;
+}
+std::uint64_t EmbreeReference::peakBytes() const noexcept {
+    return memoryBytes() +
+           std::uint64_t(scene_->memory.peak.load() - scene_->memory.now.load());
+}
+
+glm::vec3 EmbreeReference::visibility(glm::dvec3 from, glm::dvec3 delta, bool endless,
+                                      bool color) const noexcept {
+    return scene_->visibility(from, delta, endless, color);
 }
 
 std::optional<EmbreeReference::Hit> EmbreeReference::firstHit(
@@ -167,7 +345,11 @@ std::optional<EmbreeReference::Hit> EmbreeReference::firstHit(
     if (ray.hit.geomID == RTC_INVALID_GEOMETRY_ID) return std::nullopt;
     Hit hit;
     hit.position = origin + double(ray.ray.tfar) * d;
-    hit.normal = glm::normalize(glm::dvec3(ray.hit.Ng_x, ray.hit.Ng_y, ray.hit.Ng_z));
+    hit.strand = scene_->isStrands[ray.hit.geomID];
+    // Of a strand Embree tells the direction along it.
+    const glm::dvec3 n =
+        glm::normalize(glm::dvec3(ray.hit.Ng_x, ray.hit.Ng_y, ray.hit.Ng_z));
+    hit.normal = hit.strand ? glm::normalize(glm::dot(d, n) * n - d) : n;
     if (glm::dot(hit.normal, d) > 0.0) hit.normal = -hit.normal;
     return hit;
 }
@@ -176,46 +358,16 @@ void EmbreeReference::shadowFactors(const AreaLight& light, const glm::dvec3* po
                                     const glm::dvec3* normals, std::size_t count,
                                     float* out,
                                     const ReferenceOptions& options) const noexcept {
-    const light::LightSampler sampler(light);
-    const double offset = options.offset * glm::length(scene_->high - scene_->low);
-    const auto samples = sampler.isPoint()
-                             ? 1u
-                             : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
+    scene_->shadows(light, points, normals, count, false, options,
+                    [&](std::size_t i, glm::vec3 dark) { out[i] = dark.x; });
+}
 
-    const auto one = [&](std::size_t i) -> float {
-        const glm::dvec3 point = points[i];
-        if (!(glm::dot(point, point) < HUGE_VAL) || sampler.isBehind(point)) return 0.0f;
-        const double length = normals ? glm::length(normals[i]) : 0.0;
-        const glm::dvec3 normal = length > 0.0 ? normals[i] / length : glm::dvec3(0.0);
-        const base::SquareSequence sequence(base::pointKey(points[i], options.seed));
-        double visible = 0.0, total = 0.0;
-        for (std::uint32_t s = 0; s < samples; ++s) {
-            const light::LightSample sample =
-                sampler.sample(point, sampler.isPoint() ? glm::dvec2(0.5) : sequence(s));
-            const double reach = glm::length(sample.delta);
-            if (!(reach > 0.0)) continue;
-            const double cosine =
-                length > 0.0 ? glm::dot(sample.delta, normal) / reach : 1.0;
-            const double weight = options.weight == Weight::cosine && length > 0.0
-                                      ? std::max(0.0, cosine) * sample.weight
-                                      : 1.0;
-            total += weight;
-            if (cosine <= 0.0) continue;
-            const glm::dvec3 start =
-                offset * (length > 0.0 ? normal : sample.delta / reach);
-            visible +=
-                weight * scene_->visibility(
-                             point + start,
-                             sample.delta - (sample.endless ? glm::dvec3(0.0) : start),
-                             sample.endless);
-        }
-        return total > 0.0 ? float(1.0 - visible / total) : 1.0f;
-    };
-    base::parallelRanges(std::size_t(0), count, std::size_t(64),
-                         [&](std::size_t begin, std::size_t end) {
-                             for (std::size_t i = begin; i < end; ++i)
-                                 out[i] = one(i);
-                         });
+void EmbreeReference::shadowFactors(const AreaLight& light, const glm::dvec3* points,
+                                    const glm::dvec3* normals, std::size_t count,
+                                    glm::vec3* out,
+                                    const ReferenceOptions& options) const noexcept {
+    scene_->shadows(light, points, normals, count, true, options,
+                    [&](std::size_t i, glm::vec3 dark) { out[i] = dark; });
 }
 
 }  // namespace mtsm::baseline

@@ -6,7 +6,14 @@
 //
 // Same conventions as shadow.h: world units, shadow factor 0 lit to 1 dark, points of the
 // light below the horizon count as blocked. Light samples come from the same sampler as
-// the map's, with another seed. Constant opacities multiply up along a ray.
+// the map's, with another seed.
+//
+// What a ray crosses multiplies up. Meshes: their opacity, or their texture's at the hit,
+// magnified. Strands: ribbons that face the ray, as Embree's flat linear curves, with
+// flat ends and round joints; a strand that is met in consecutive segments is crossed
+// once. As Embree has it, a strand does not shadow what lies within its width in front of
+// it along a ray: so a point on a strand is not shadowed by that place of the strand.
+// Volumes: exp(-optical depth), exact for voxels of constant density.
 #pragma once
 #include <cstddef>
 #include <cstdint>
@@ -32,27 +39,45 @@ struct ReferenceOptions {
 
 class EmbreeReference {
   public:
-    /// Holds a copy of all triangles. Errors: what visit() returns, badFile if Embree
+    /// Holds a copy of all casters. Errors: what visit() returns, badFile if Embree
     /// fails.
     static Result<EmbreeReference> build(CasterSource& casters);
     EmbreeReference(EmbreeReference&&) noexcept;
     EmbreeReference& operator=(EmbreeReference&&) noexcept;
     ~EmbreeReference();
 
-    /// Bounds of the casters, world.
+    /// Bounds of the casters, world; of strands without their width.
     [[nodiscard]] glm::dvec3 boundsMin() const noexcept;
     [[nodiscard]] glm::dvec3 boundsMax() const noexcept;
+    /// What the casters and Embree's tree over them take, and took at most while it was
+    /// built.
+    [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
+    [[nodiscard]] std::uint64_t peakBytes() const noexcept;
 
-    /// As mtsm::shadowFactors: normals may be null. Runs in the caller's oneTBB arena.
+    /// As mtsm::shadowFactors: normals may be null; one that is zero is none. Runs in the
+    /// caller's oneTBB arena. Tints do not count; of a coloured texture the mean does.
     void shadowFactors(const AreaLight& light, const glm::dvec3* points,
                        const glm::dvec3* normals, std::size_t count, float* out,
                        const ReferenceOptions& options = {}) const noexcept;
+    /// The same in red, green and blue, with casters that tint the light.
+    void shadowFactors(const AreaLight& light, const glm::dvec3* points,
+                       const glm::dvec3* normals, std::size_t count, glm::vec3* out,
+                       const ReferenceOptions& options = {}) const noexcept;
+    /// What is left, per channel, of light that goes along `delta`, or on for ever in its
+    /// direction if `endless`. Without `color` all three are as in shadowFactors. A ray
+    /// of no length, or one that is not finite, is clear.
+    [[nodiscard]] glm::vec3 visibility(glm::dvec3 from, glm::dvec3 delta,
+                                       bool endless = false,
+                                       bool color = false) const noexcept;
 
-    /// What a ray meets first, for position passes.
+    /// What a ray meets first, for position passes: a mesh where its texture has no hole,
+    /// or a strand. Rays pass through volumes.
     struct Hit {
         glm::dvec3 position{0.0};
-        glm::dvec3 normal{
-            0.0};  ///< unit, of the triangle, turned to where the ray came from
+        /// Unit, turned to where the ray came from: of the triangle, or across the strand
+        /// as far as that is possible towards the ray's origin.
+        glm::dvec3 normal{0.0};
+        bool strand = false;
     };
     /// `direction` need not be a unit vector.
     [[nodiscard]] std::optional<Hit> firstHit(glm::dvec3 origin,

@@ -1,6 +1,7 @@
 #include "compress/merge.h"
 
 #include <array>
+#include <functional>
 #include <limits>
 
 namespace mtsm::compress {
@@ -87,8 +88,9 @@ std::uint64_t Merger::merge(const Visibility& samples, std::uint32_t cap,
     link(samples, layers);
     std::size_t left = layers.size();
     while (left > cap && !candidates_.empty()) {
-        const Candidate best = candidates_.top();
-        candidates_.pop();
+        std::pop_heap(candidates_.begin(), candidates_.end(), std::greater<>());
+        const Candidate best = candidates_.back();
+        candidates_.pop_back();
         Node& a = nodes_[best.left];
         if (!a.alive || a.next == nodes_.size()) continue;
         Node& b = nodes_[a.next];
@@ -112,7 +114,6 @@ std::uint64_t Merger::merge(const Visibility& samples, std::uint32_t cap,
         if (nodes_[i].alive) layers[kept++] = layers[i];
     }
     layers.resize(kept);
-    candidates_ = {};
     return dropped;
 }
 
@@ -133,27 +134,38 @@ void Merger::link(const Visibility& samples, const std::vector<Span>& layers) {
             node.opticalDepth += depthBetween(before, layers[i].v[c]);
         }
     }
-    for (std::uint32_t i = 0; i < count; ++i)
-        offer(samples, i);
+    candidates_.clear();
+    for (std::uint32_t i = 0; i < count; ++i) {
+        Candidate candidate;
+        if (evaluate(samples, i, candidate)) candidates_.push_back(candidate);
+    }
+    std::make_heap(candidates_.begin(), candidates_.end(), std::greater<>());
 }
 
-/// Offers to merge a node with the next one, unless one of them is a reset.
-void Merger::offer(const Visibility& samples, std::uint32_t left) {
+/// What merging a node with the next one would do; false if one of them is a reset.
+bool Merger::evaluate(const Visibility& samples, std::uint32_t left,
+                      Candidate& candidate) const {
     const Node& a = nodes_[left];
-    if (a.next == nodes_.size()) return;
+    if (a.next == nodes_.size()) return false;
     const Node& b = nodes_[a.next];
     if (samples.wall[a.group.end - 1] == Wall::reset ||
         samples.wall[b.group.end - 1] == Wall::reset)
-        return;
-    const Group whole{a.group.begin, b.group.end};
-    Candidate candidate;
+        return false;
     candidate.left = left;
-    candidate.whole = whole;
+    candidate.whole = {a.group.begin, b.group.end};
     candidate.bridges = move(samples, a, b) > mayMove(samples, a, b);
-    candidate.harm = transport(spread(samples, a.group, a.opticalDepth),
-                               spread(samples, b.group, b.opticalDepth),
-                               spread(samples, whole, a.opticalDepth + b.opticalDepth));
-    candidates_.push(candidate);
+    candidate.harm =
+        transport(spread(samples, a.group, a.opticalDepth),
+                  spread(samples, b.group, b.opticalDepth),
+                  spread(samples, candidate.whole, a.opticalDepth + b.opticalDepth));
+    return true;
+}
+
+void Merger::offer(const Visibility& samples, std::uint32_t left) {
+    Candidate candidate;
+    if (!evaluate(samples, left, candidate)) return;
+    candidates_.push_back(candidate);
+    std::push_heap(candidates_.begin(), candidates_.end(), std::greater<>());
 }
 
 /// A bound on how far samples are from where they were once two nodes are merged: what

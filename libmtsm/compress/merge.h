@@ -1,6 +1,5 @@
 // merge.h - no more layers than a cap.
 #pragma once
-#include <queue>
 #include <vector>
 
 #include "compress/error.h"
@@ -39,6 +38,8 @@ class Merger {
     };
 
     void link(const Visibility& samples, const std::vector<Span>& layers);
+    bool evaluate(const Visibility& samples, std::uint32_t left,
+                  Candidate& candidate) const;
     void offer(const Visibility& samples, std::uint32_t left);
     [[nodiscard]] double move(const Visibility& samples, const Node& a,
                               const Node& b) const;
@@ -47,7 +48,7 @@ class Merger {
 
     Bounds bounds_;
     std::vector<Node> nodes_;
-    std::priority_queue<Candidate, std::vector<Candidate>, std::greater<>> candidates_;
+    std::vector<Candidate> candidates_;  ///< a heap, the least harm first
 };
 
 /// Largest |V - V'| of these layers; that a float v is rounded is no error.

@@ -50,7 +50,7 @@ inline constexpr double kRunFootprints = 4.0;
 struct StrandCounts {
     std::uint64_t strands = 0, segments = 0;
     std::uint64_t nonFinite = 0;    ///< a point or width is NaN, infinite or beyond 1e30
-    std::uint64_t transparent = 0;  ///< opacity or width is 0 all along
+    std::uint64_t transparent = 0;  ///< opacity or width 0 all along, or a single point
     std::uint64_t outside = 0;      ///< wholly outside window, near and far
     std::uint64_t clipped = 0;      ///< cut by near or far, or reaching out of the window
     /// Of those clipped or outside: what lies between near and far leaves the window.

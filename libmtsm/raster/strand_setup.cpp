@@ -11,6 +11,9 @@ namespace {
 
 /// Segments shorter than this, in pixels, have no direction: rounding would decide it.
 constexpr double kShortest = 1e-8;
+/// Half of a strand's width, pixels: it covers the window from anywhere in the guard
+/// band.
+constexpr double kWidest = 65536.0;
 /// A mitre is at most twice as long as the strand is wide: cos(120 degrees).
 constexpr double kMitreCosine = -0.5;
 /// Most pieces that a segment is cut into because it runs along the view ray.
@@ -44,7 +47,7 @@ StrandSetup::StrandSetup(const Projection& projection, const SampleGrid& grid) n
     : perspective_(projection.kind == ProjectionKind::perspective),
       scale_(projection.scale),
       offset_(projection.offset),
-      near_(perspective_ ? std::max(projection.near, kSmallestDepth) : projection.near),
+      near_(std::max(projection.near, kSmallestDepth)),
       far_(projection.far),
       finestScale_(std::max(std::abs(scale_.x), std::abs(scale_.y))),
       width_(grid.width()),
@@ -129,8 +132,10 @@ void StrandSetup::link(const Vertex& a, const Vertex& b,
     const double length = std::sqrt(glm::dot(along, along));
     if (!(length >= kShortest)) return;
     const glm::dvec2 normal(-along.y / length, along.x / length);
-    chain.push_back(
-        {{a, b}, normal, {halfPixels(normal, a), halfPixels(normal, b)}, length});
+    const auto half = [&](const Vertex& v) {
+        return std::min(halfPixels(normal, v), kWidest);
+    };
+    chain.push_back({{a, b}, normal, {half(a), half(b)}, length});
 }
 
 void StrandSetup::strand(const StrandsView& view, std::size_t s,
@@ -295,7 +300,7 @@ void StrandSetup::emitPiece(const Segment& s, glm::dvec2 side0, glm::dvec2 side1
     const double y1 = std::min(std::floor(high.y), height_ - 1.0);
     if (y1 < firstRow_ || y0 >= endRow_) return;
     const auto between = [](double from, double to, double t) {
-        return float(from + t * (to - from));
+        return float((1.0 - t) * from + t * to);
     };
     const Vertex &v0 = s.end[0], &v1 = s.end[1];
     PreparedSegment& p = out.segments.emplace_back();

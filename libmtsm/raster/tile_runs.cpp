@@ -92,36 +92,44 @@ void TileRuns::drawInPixel(const Piece& p, std::uint32_t pixel) {
     add(pixel, area, (ahead * (lead0 + 2.0) + (area - ahead) * (1.0 - lead1)) / 3.0);
 }
 
-void TileRuns::drawRows(const Piece& p, std::int32_t firstRow, std::int32_t lastRow) {
-    const double cx[4] = {p.x[0] + p.sideX[0], p.x[1] + p.sideX[1], p.x[1] - p.sideX[1],
-                          p.x[0] - p.sideX[0]};
-    const double cy[4] = {p.y[0] + p.sideY[0], p.y[1] + p.sideY[1], p.y[1] - p.sideY[1],
-                          p.y[0] - p.sideY[0]};
-    Edge edges[4];
-    int count = 0;
-    for (int i = 0; i < 4; ++i) {
-        const int j = (i + 1) & 3;
-        if (cy[i] == cy[j]) continue;
-        const double slope = (cx[j] - cx[i]) / (cy[j] - cy[i]);
-        edges[count++] = cy[i] < cy[j] ? Edge{cx[i], cy[i], cx[j], cy[j], 1.0, slope}
-                                       : Edge{cx[j], cy[j], cx[i], cy[i], -1.0, slope};
+/// The area to the right of an edge in a pixel, and the integral of the way over it: that
+/// along x first, which leaves a quadratic in y.
+[[gnu::always_inline]] inline void TileRuns::addToCell(std::int32_t x, const Edge& e) {
+    Cell& cell = cells_[std::size_t(x)];
+    const double right = x + 1, dy = (e.y1 - e.y0) * e.sign;
+    const double a0 = right - e.x0, a1 = right - e.x1, a = a0 + a1, y = e.y0 + e.y1;
+    cell.area += dy * 0.5 * a;
+    cell.moment +=
+        dy * (0.5 * a * (way_.at + way_.dx * right) +
+              ((a * y + a0 * e.y0 + a1 * e.y1) * way_.dy - (a * a - a0 * a1) * way_.dx) *
+                  (1.0 / 6.0));
+    cell.cover += dy;
+    cell.coverY += dy * 0.5 * y;
+    firstCell_ = std::min(firstCell_, x);
+    lastCell_ = std::max(lastCell_, x);
+}
+
+/// An edge within a row and the tile (its right side included), pixel by pixel.
+void TileRuns::addInside(const Edge& e) {
+    const std::int32_t last = std::min(std::int32_t(e.x1), width_ - 1);
+    std::int32_t x = std::min(std::int32_t(e.x0), width_ - 1);
+    if (x == last) {
+        addToCell(x, e);
+        return;
     }
-    const double start = way_.at;
-    for (std::int32_t row = firstRow; row <= lastRow; ++row) {
-        const double top = row, bottom = row + 1;
-        way_.at = start + way_.dy * top;  // y counts from the row's top
-        firstCell_ = width_;
-        lastCell_ = -1;
-        for (int i = 0; i < count; ++i) {
-            const Edge& e = edges[i];
-            if (e.y1 <= top || e.y0 >= bottom) continue;
-            const bool starts = e.y0 >= top, ends = e.y1 <= bottom;
-            addToRow({starts ? e.x0 : e.xAt(top), starts ? e.y0 - top : 0.0,
-                      ends ? e.x1 : e.xAt(bottom), ends ? e.y1 - top : 1.0, e.sign,
-                      e.slope});
-        }
-        sweepRow(std::uint32_t(row * width_));
+    const double rise = (e.y1 - e.y0) / (e.x1 - e.x0);
+    const std::int32_t step = last > x ? 1 : -1;
+    Edge part = e;
+    for (; x != last; x += step) {
+        part.x1 = step > 0 ? x + 1 : x;
+        part.y1 = std::clamp(e.y0 + (part.x1 - e.x0) * rise, part.y0, e.y1);
+        addToCell(x, part);
+        part.x0 = part.x1;
+        part.y0 = part.y1;
     }
+    part.x1 = e.x1;
+    part.y1 = e.y1;
+    addToCell(last, part);
 }
 
 /// An edge within a row of pixels; what lies left or right of the tile is moved to its
@@ -158,45 +166,36 @@ void TileRuns::addToRow(const Edge& e) {
     addPart(e.x1, e.y1);
 }
 
-/// An edge within a row and the tile (its right side included), pixel by pixel.
-void TileRuns::addInside(const Edge& e) {
-    const std::int32_t last = std::min(std::int32_t(e.x1), width_ - 1);
-    std::int32_t x = std::min(std::int32_t(e.x0), width_ - 1);
-    if (x == last) {
-        addToCell(x, e);
-        return;
+void TileRuns::drawRows(const Piece& p, std::int32_t firstRow, std::int32_t lastRow) {
+    const double cx[4] = {p.x[0] + p.sideX[0], p.x[1] + p.sideX[1], p.x[1] - p.sideX[1],
+                          p.x[0] - p.sideX[0]};
+    const double cy[4] = {p.y[0] + p.sideY[0], p.y[1] + p.sideY[1], p.y[1] - p.sideY[1],
+                          p.y[0] - p.sideY[0]};
+    Edge edges[4];
+    int count = 0;
+    for (int i = 0; i < 4; ++i) {
+        const int j = (i + 1) & 3;
+        if (cy[i] == cy[j]) continue;
+        const double slope = (cx[j] - cx[i]) / (cy[j] - cy[i]);
+        edges[count++] = cy[i] < cy[j] ? Edge{cx[i], cy[i], cx[j], cy[j], 1.0, slope}
+                                       : Edge{cx[j], cy[j], cx[i], cy[i], -1.0, slope};
     }
-    const double rise = (e.y1 - e.y0) / (e.x1 - e.x0);
-    const std::int32_t step = last > x ? 1 : -1;
-    Edge part = e;
-    for (; x != last; x += step) {
-        part.x1 = step > 0 ? x + 1 : x;
-        part.y1 = std::clamp(e.y0 + (part.x1 - e.x0) * rise, part.y0, e.y1);
-        addToCell(x, part);
-        part.x0 = part.x1;
-        part.y0 = part.y1;
+    const double start = way_.at;
+    for (std::int32_t row = firstRow; row <= lastRow; ++row) {
+        const double top = row, bottom = row + 1;
+        way_.at = start + way_.dy * top;  // y counts from the row's top
+        firstCell_ = width_;
+        lastCell_ = -1;
+        for (int i = 0; i < count; ++i) {
+            const Edge& e = edges[i];
+            if (e.y1 <= top || e.y0 >= bottom) continue;
+            const bool starts = e.y0 >= top, ends = e.y1 <= bottom;
+            addToRow({starts ? e.x0 : e.xAt(top), starts ? e.y0 - top : 0.0,
+                      ends ? e.x1 : e.xAt(bottom), ends ? e.y1 - top : 1.0, e.sign,
+                      e.slope});
+        }
+        sweepRow(std::uint32_t(row * width_));
     }
-    part.x1 = e.x1;
-    part.y1 = e.y1;
-    addToCell(last, part);
-}
-
-/// The area to the right of an edge in a pixel, and the integral of the way over it:
-/// along y the inner integral is a quadratic, for which Simpson's rule is exact.
-void TileRuns::addToCell(std::int32_t x, const Edge& e) {
-    Cell& cell = cells_[std::size_t(x)];
-    const double right = x + 1, dy = (e.y1 - e.y0) * e.sign;
-    const double xm = 0.5 * (e.x0 + e.x1), ym = 0.5 * (e.y0 + e.y1);
-    const auto inner = [&](double ex, double ey) {
-        return (right - ex) * way_(0.5 * (ex + right), ey);
-    };
-    cell.area += dy * (right - xm);
-    cell.moment +=
-        dy * (inner(e.x0, e.y0) + 4.0 * inner(xm, ym) + inner(e.x1, e.y1)) / 6.0;
-    cell.cover += dy;
-    cell.coverY += dy * ym;
-    firstCell_ = std::min(firstCell_, x);
-    lastCell_ = std::max(lastCell_, x);
 }
 
 /// Hands over the row's pixels, from left to right, and clears its cells.
@@ -219,7 +218,8 @@ void TileRuns::add(std::uint32_t pixel, double area, double moment) {
     // Where corners stick out in a mitre, what lies beyond the ends is taken for the end.
     const PreparedSegment& p = *segment_;
     const auto way = float(std::clamp(moment / area, 0.0, 1.0));
-    const float q = p.q[0] + way * (p.q[1] - p.q[0]);
+    // Depths may be many orders apart: no difference of them.
+    const float q = (1.0f - way) * p.q[0] + way * p.q[1];
     Run& run = runs_[pixel];
     if (run.order == kClosed) {
         open_.push_back(pixel);
@@ -230,21 +230,20 @@ void TileRuns::add(std::uint32_t pixel, double area, double moment) {
         run = {};
         run.firstQ = q;
     }
-    const auto a = float(area);
     run.order = p.order;
-    run.area += a;
-    if (a < 0.0f) return;
-    run.weight += a;
-    run.q += a * q;
-    run.opacity += a * (p.opacity[0] + way * (p.opacity[1] - p.opacity[0]));
+    run.area += float(area);
+    if (area < 0.0) return;
+    run.weight += area;
+    run.q += area * q;
+    run.opacity += float(area) * (p.opacity[0] + way * (p.opacity[1] - p.opacity[0]));
 }
 
 void TileRuns::emit(std::uint32_t pixel, const Run& run) {
     if (!(run.area > 0.0f)) return;  // folded over
     const float coverage = std::min(run.area, 1.0f);
-    const float opacity = std::min(coverage * (run.opacity / run.weight), 1.0f);
+    const float opacity = std::min(coverage * (run.opacity / float(run.weight)), 1.0f);
     if (!(opacity > float(kNoise))) return;
-    const float z = perspective_ ? run.weight / run.q : run.q / run.weight;
+    const auto z = float(perspective_ ? run.weight / run.q : run.q / run.weight);
     const float channels[3] = {opacity, opacity, opacity};
     tile_->add(pixel, z, channels);
 }

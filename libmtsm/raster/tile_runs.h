@@ -29,8 +29,9 @@ class TileRuns {
   private:
     /// Sums over a run.
     struct Run {
-        float area = 0.0f;                              ///< signed
-        float weight = 0.0f, q = 0.0f, opacity = 0.0f;  ///< by area, where positive
+        double weight = 0.0, q = 0.0;  ///< by area, where that is positive
+        float opacity = 0.0f;          ///< the same
+        float area = 0.0f;             ///< signed
         float firstQ = 0.0f;
         std::uint32_t order = kClosed;  ///< of the piece that came last
     };

@@ -100,6 +100,7 @@ SourceFormat AssimpScene::format() const {
     const std::string_view name = importer && importer->mName ? importer->mName : "";
     if (name.find("Collada") != name.npos) return SourceFormat::collada;
     if (name.find("glTF") != name.npos) return SourceFormat::gltf;
+    if (name.find("Wavefront") != name.npos) return SourceFormat::obj;
     return SourceFormat::other;
 }
 

@@ -12,7 +12,7 @@
 namespace mtsm::scene {
 
 /// Formats whose conventions Assimp passes on as they are.
-enum class SourceFormat { collada, gltf, other };
+enum class SourceFormat { collada, gltf, obj, other };
 
 /// A scene as Assimp reads it, without any post-processing.
 class AssimpScene {

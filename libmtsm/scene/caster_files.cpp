@@ -176,6 +176,7 @@ std::unique_ptr<CasterSource> meshSource(const Group& group,
     o.include = first.include;
     o.exclude = first.exclude;
     o.opacity = first.opacity;
+    o.color = options.color;
     o.cacheBytes = cacheBytes;
     o.importerBytes = options.importerBytes;
     o.warn = options.warn;

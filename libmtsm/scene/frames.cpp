@@ -72,14 +72,24 @@ void FrameWriter::failure(ErrorCode code, std::string_view text) {
     frame(FrameKind::failure, bytesOf(std::uint32_t(code)), text);
 }
 
-void FrameWriter::mesh(std::span<const float> coordinates,
+void FrameWriter::mesh(std::span<const float> coordinates, std::span<const glm::vec2> uvs,
                        std::span<const std::uint32_t> indices,
-                       std::span<const Instance> instances) {
-    const MeshHead head{coordinates.size() / 3, indices.size() / 3, instances.size()};
+                       std::span<const Instance> instances, std::uint32_t texture,
+                       glm::vec3 tint) {
+    const MeshHead head{coordinates.size() / 3, indices.size() / 3, instances.size(),
+                        texture, tint};
     frame(FrameKind::mesh, bytesOf(head), {});
     out_.write(instances.data(), instances.size_bytes());
     out_.write(coordinates.data(), coordinates.size_bytes());
+    out_.write(uvs.data(), uvs.size_bytes());
     out_.write(indices.data(), indices.size_bytes());
+}
+
+void FrameWriter::texture(const OpacityImage& image) {
+    const TextureHead head{image.width, image.height, image.channels, image.wrapU,
+                           image.wrapV, image.cutoff, image.opacity};
+    frame(FrameKind::texture, bytesOf(head), {});
+    out_.write(image.texels.data(), image.texels.size() * sizeof(float));
 }
 
 void FrameWriter::light(const LightRecord& light, std::string_view name) {
@@ -133,12 +143,18 @@ std::optional<PlacedMesh> FrameReader::mesh(const Frame& frame) {
     const auto fits = [&](std::uint64_t count, std::uint64_t bytesEach) {
         return count <= maxBytes_ / bytesEach;
     };
+    const bool textured = head->texture != kNoTexture;
     if (!fits(head->vertices, sizeof(glm::vec3)) || !fits(head->triangles, 12) ||
         !fits(head->instances, sizeof(Instance)) ||
-        head->vertices > std::numeric_limits<std::uint32_t>::max())
+        head->vertices > std::numeric_limits<std::uint32_t>::max() ||
+        (textured && head->texture >= textures_) || !isProportion(head->tint.x) ||
+        !isProportion(head->tint.y) || !isProportion(head->tint.z))
         return std::nullopt;
     PlacedMesh mesh;
+    mesh.texture = head->texture;
+    mesh.tint = head->tint;
     if (!fill(mesh.instances, head->instances) || !fill(mesh.positions, head->vertices) ||
+        !fill(mesh.uvs, textured ? head->vertices : 0) ||
         !fill(mesh.indices, head->triangles * 3))
         return std::nullopt;
     if (!std::all_of(mesh.indices.begin(), mesh.indices.end(),
@@ -163,6 +179,29 @@ std::optional<PlacedVolume> FrameReader::volume(const Frame& frame) {
                      [](float d) { return d >= 0.0f && std::isfinite(d); }))
         return std::nullopt;
     return volume;
+}
+
+std::optional<OpacityImage> FrameReader::texture(const Frame& frame) {
+    const auto head = recordOf<TextureHead>(frame.payload);
+    const auto isSide = [](std::uint32_t n) {
+        return n >= 1 && n <= OpacityImage::kMostTexels;
+    };
+    if (!head || !isSide(head->width) || !isSide(head->height) ||
+        (head->channels != 1 && head->channels != 3) ||
+        head->wrapU > TextureWrap::mirror || head->wrapU < TextureWrap::repeat ||
+        head->wrapV > TextureWrap::mirror || head->wrapV < TextureWrap::repeat ||
+        !std::isfinite(head->cutoff) || !isProportion(head->opacity))
+        return std::nullopt;
+    const std::uint64_t count =
+        std::uint64_t(head->width) * head->height * head->channels;
+    if (count > maxBytes_ / sizeof(float)) return std::nullopt;
+    OpacityImage image{head->width, head->height, head->channels, {},
+                       head->wrapU, head->wrapV,  head->cutoff,   head->opacity};
+    if (!fill(image.texels, count) ||
+        !std::all_of(image.texels.begin(), image.texels.end(), isProportion))
+        return std::nullopt;
+    ++textures_;
+    return image;
 }
 
 std::optional<FileLight> FrameReader::light(const Frame& frame) {

@@ -2,9 +2,11 @@
 //
 // The child sends a sequence of frames: an 8-byte head (kind, payload size in bytes) and
 // the payload. A mesh frame's payload is a MeshHead; behind it come, outside the frame,
-// its instances, positions and indices as they lie in memory: both sides are one binary.
-// A volume frame is followed in the same way by its blocks and their densities.
-// The last frame is `end` or `failure`; a stream without either was cut off.
+// its instances, positions, texture coordinates and indices as they lie in memory: both
+// sides are one binary. A texture frame's is a TextureHead, with the texels behind it;
+// meshes refer to textures that came before them by their number. A volume frame is
+// followed in the same way by its blocks and their densities. The last frame is `end` or
+// `failure`; a stream without either was cut off.
 //
 // The child has parsed a file that may be hostile, so the parent believes nothing: sizes
 // are held against a limit and buffers grow only as bytes arrive, every index is checked
@@ -12,6 +14,7 @@
 #pragma once
 #include <cstdint>
 #include <glm/mat4x4.hpp>
+#include <glm/vec2.hpp>
 #include <glm/vec3.hpp>
 #include <optional>
 #include <span>
@@ -19,6 +22,7 @@
 #include <string_view>
 #include <vector>
 
+#include "mtsm/opacity_texture.h"
 #include "mtsm/scene.h"
 #include "scene/isolate.h"
 
@@ -30,14 +34,26 @@ enum class FrameKind : std::uint32_t {
     mesh = 3,     ///< MeshHead
     light = 4,    ///< LightRecord, then the name
     volume = 5,   ///< VolumeHead
-    failure = 6,  ///< ErrorCode as a u32, then the text: the file cannot be used
-    end = 7       ///< nothing: all has been said
+    texture = 6,  ///< TextureHead
+    failure = 7,  ///< ErrorCode as a u32, then the text: the file cannot be used
+    end = 8       ///< nothing: all has been said
 };
 
 inline constexpr std::uint32_t kMaxFrameBytes = 4096;
 
+inline constexpr std::uint32_t kNoTexture = ~std::uint32_t(0);
+
 struct MeshHead {
     std::uint64_t vertices = 0, triangles = 0, instances = 0;
+    std::uint32_t texture = kNoTexture;  ///< which of those sent; then it has coordinates
+    glm::vec3 tint{1.0f};
+};
+
+/// OpacityImage but for its texels.
+struct TextureHead {
+    std::uint32_t width = 0, height = 0, channels = 1;
+    TextureWrap wrapU = TextureWrap::repeat, wrapV = TextureWrap::repeat;
+    float cutoff = -1.0f, opacity = 1.0f;
 };
 
 /// One place where a mesh stands.
@@ -50,11 +66,14 @@ struct Instance {
 /// A mesh and all its places.
 struct PlacedMesh {
     std::vector<glm::vec3> positions;
+    std::vector<glm::vec2> uvs;  ///< one per position, or none
     std::vector<std::uint32_t> indices;
     std::vector<Instance> instances;
+    std::uint32_t texture = kNoTexture;
+    glm::vec3 tint{1.0f};
 
     [[nodiscard]] std::uint64_t bytes() const {
-        return positions.size() * sizeof(glm::vec3) +
+        return positions.size() * sizeof(glm::vec3) + uvs.size() * sizeof(glm::vec2) +
                indices.size() * sizeof(std::uint32_t) +
                instances.size() * sizeof(Instance);
     }
@@ -97,7 +116,14 @@ class FrameWriter {
     void failure(ErrorCode code, std::string_view text);
     /// `coordinates` are x, y, z of one vertex after another.
     void mesh(std::span<const float> coordinates, std::span<const std::uint32_t> indices,
-              std::span<const Instance> instances);
+              std::span<const Instance> instances) {
+        mesh(coordinates, {}, indices, instances, kNoTexture, glm::vec3(1.0f));
+    }
+    /// With one of `uvs` per vertex and a texture, or without both.
+    void mesh(std::span<const float> coordinates, std::span<const glm::vec2> uvs,
+              std::span<const std::uint32_t> indices, std::span<const Instance> instances,
+              std::uint32_t texture, glm::vec3 tint);
+    void texture(const OpacityImage& image);
     void light(const LightRecord& light, std::string_view name);
     /// The densities of all blocks follow, one call of densities() for each.
     void volume(const glm::dmat4& worldFromIndex, std::span<const glm::ivec3> blocks);
@@ -121,7 +147,7 @@ struct Frame {
 /// The parent's side.
 class FrameReader {
   public:
-    /// No mesh and no volume may be larger than maxBytes.
+    /// No mesh, texture or volume may be larger than maxBytes.
     FrameReader(Isolated& in, std::uint64_t maxBytes) : in_(in), maxBytes_(maxBytes) {}
     /// The next frame; nothing at the end of the stream or if what comes is no frame.
     [[nodiscard]] std::optional<Frame> next();
@@ -129,6 +155,8 @@ class FrameReader {
     [[nodiscard]] std::optional<PlacedMesh> mesh(const Frame& frame);
     /// What follows a volume frame; nothing if it is cut off or breaks a rule.
     [[nodiscard]] std::optional<PlacedVolume> volume(const Frame& frame);
+    /// What follows a texture frame; nothing if it is cut off or breaks a rule.
+    [[nodiscard]] std::optional<OpacityImage> texture(const Frame& frame);
     /// What a light frame says; nothing if it breaks a rule.
     [[nodiscard]] static std::optional<FileLight> light(const Frame& frame);
 
@@ -137,6 +165,7 @@ class FrameReader {
     bool fill(std::vector<T>& to, std::uint64_t count);
     Isolated& in_;
     std::uint64_t maxBytes_;
+    std::uint32_t textures_ = 0;  // read so far
 };
 
 }  // namespace mtsm::scene

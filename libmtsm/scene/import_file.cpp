@@ -103,6 +103,13 @@ Status receive(Isolated& child, const std::string& path, std::uint64_t importerB
                 if (Status s = sink.volume(std::move(*volume)); !s) return s;
                 break;
             }
+            case FrameKind::texture: {
+                auto image = reader.texture(*frame);
+                if (!image) return nonsense(path);
+                if (!sink.texture) break;
+                if (Status s = sink.texture(std::move(*image)); !s) return s;
+                break;
+            }
             case FrameKind::light: {
                 auto light = FrameReader::light(*frame);
                 if (!light) return nonsense(path);

@@ -11,8 +11,9 @@ namespace mtsm::scene {
 
 /// What to do with what a file holds. Absent ones are not called.
 struct ImportSink {
-    std::function<Status(PlacedMesh&&)> mesh;      ///< an Error stops the import
-    std::function<Status(PlacedVolume&&)> volume;  ///< the same
+    std::function<Status(PlacedMesh&&)> mesh;       ///< an Error stops the import
+    std::function<Status(PlacedVolume&&)> volume;   ///< the same
+    std::function<Status(OpacityImage&&)> texture;  ///< in order; an Error stops as well
     std::function<void(FileLight&&)> light;
     std::function<void(std::string)> name;
     std::function<void(std::string)> warning;

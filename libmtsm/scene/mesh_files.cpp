@@ -19,15 +19,21 @@ constexpr std::size_t kNamesShown = 20;
 
 /// Enough to notice that a file is not what it was at the last visit.
 struct Extent {
-    std::uint64_t meshes = 0, vertices = 0, triangles = 0;
+    std::uint64_t meshes = 0, vertices = 0, triangles = 0, textureBytes = 0;
     friend bool operator==(const Extent&, const Extent&) = default;
+};
+
+/// What a file holds. Meshes refer to textures by their number.
+struct Content {
+    std::vector<OpacityTexture> textures;
+    std::vector<PlacedMesh> meshes;
 };
 
 struct File {
     std::string path;
     bool read = false;    // to its end, at least once: it has warned, extent is set
-    bool cached = false;  // meshes are all of it
-    std::vector<PlacedMesh> meshes;
+    bool cached = false;  // content is all of it
+    Content content;
     Extent extent;
 };
 
@@ -39,12 +45,18 @@ Status checkOptions(const MeshFileOptions& options, std::size_t files) {
     return {};
 }
 
-Status show(const PlacedMesh& mesh, const CasterVisitor& visitor) {
+Status show(const PlacedMesh& mesh, const std::vector<OpacityTexture>& textures,
+            const CasterVisitor& visitor) {
     MeshView view;
     view.positions = mesh.positions.data();
     view.vertexCount = mesh.positions.size();
     view.indices = mesh.indices.data();
     view.triangleCount = mesh.indices.size() / 3;
+    view.tint = mesh.tint;
+    if (mesh.texture != scene::kNoTexture) {
+        view.uvs = mesh.uvs.data();
+        view.texture = &textures[mesh.texture];
+    }
     for (const scene::Instance& instance : mesh.instances) {
         view.worldFromObject = instance.worldFromObject;
         view.opacity = instance.opacity;
@@ -53,27 +65,35 @@ Status show(const PlacedMesh& mesh, const CasterVisitor& visitor) {
     return {};
 }
 
-/// Keeps a file's meshes while they fit.
+/// Keeps a file's content while it fits; textures that meshes yet to come may need stay
+/// in any case.
 class Keeper {
   public:
     explicit Keeper(std::uint64_t room) : room_(room) {}
+    void keep(OpacityTexture&& texture) {
+        content_.textures.push_back(std::move(texture));
+        use(content_.textures.back().memoryBytes());
+    }
     void keep(PlacedMesh&& mesh) {
-        if (!fits_) return;
-        used_ += mesh.bytes();
-        fits_ = used_ <= room_;
-        if (fits_)
-            meshes_.push_back(std::move(mesh));
-        else
-            meshes_ = {};
+        use(mesh.bytes());
+        if (fits_) content_.meshes.push_back(std::move(mesh));
+    }
+    [[nodiscard]] const std::vector<OpacityTexture>& textures() const {
+        return content_.textures;
     }
     [[nodiscard]] bool fits() const { return fits_; }
     [[nodiscard]] std::uint64_t used() const { return used_; }
-    [[nodiscard]] std::vector<PlacedMesh> take() { return std::move(meshes_); }
+    [[nodiscard]] Content take() { return std::move(content_); }
 
   private:
+    void use(std::uint64_t bytes) {
+        used_ += bytes;
+        fits_ = fits_ && used_ <= room_;
+        if (!fits_) content_.meshes = {};
+    }
     std::uint64_t room_, used_ = 0;
     bool fits_ = true;
-    std::vector<PlacedMesh> meshes_;
+    Content content_;
 };
 
 Error nothingPasses(std::vector<std::string> names) {
@@ -103,8 +123,8 @@ struct MeshFiles::Impl {
 Status MeshFiles::Impl::visit(File& file, const CasterVisitor& visitor,
                               std::vector<std::string>& names) {
     if (!file.cached) return read(file, visitor, names);
-    for (const PlacedMesh& mesh : file.meshes)
-        if (Status s = show(mesh, visitor); !s) return s;
+    for (const PlacedMesh& mesh : file.content.meshes)
+        if (Status s = show(mesh, file.content.textures, visitor); !s) return s;
     return {};
 }
 
@@ -115,11 +135,18 @@ Status MeshFiles::Impl::read(File& file, const CasterVisitor& visitor,
     Extent extent;
     Keeper keeper(options.cacheBytes - std::min(cachedBytes, options.cacheBytes));
     scene::ImportSink sink;
+    sink.texture = [&](OpacityImage&& image) -> Status {
+        auto texture = OpacityTexture::create(std::move(image));
+        if (!texture) return texture.error();
+        extent.textureBytes += texture->memoryBytes();
+        keeper.keep(std::move(*texture));
+        return {};
+    };
     sink.mesh = [&](PlacedMesh&& mesh) -> Status {
         extent.meshes += mesh.instances.size();
         extent.vertices += mesh.positions.size();
         extent.triangles += mesh.indices.size() / 3;
-        if (Status s = show(mesh, visitor); !s) return s;
+        if (Status s = show(mesh, keeper.textures(), visitor); !s) return s;
         keeper.keep(std::move(mesh));
         return {};
     };
@@ -140,7 +167,7 @@ Status MeshFiles::Impl::read(File& file, const CasterVisitor& visitor,
     file.extent = extent;
     if (keeper.fits()) {
         file.cached = true;
-        file.meshes = keeper.take();
+        file.content = keeper.take();
         cachedBytes += keeper.used();
     }
     return {};
@@ -150,7 +177,7 @@ MeshFiles::MeshFiles(std::vector<std::string> paths, MeshFileOptions options)
     : impl_(std::make_unique<Impl>()) {
     impl_->options = std::move(options);
     for (std::string& path : paths)
-        impl_->files.push_back({.path = std::move(path), .meshes = {}, .extent = {}});
+        impl_->files.push_back({.path = std::move(path), .content = {}, .extent = {}});
 }
 
 MeshFiles::~MeshFiles() = default;

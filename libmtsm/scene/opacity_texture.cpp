@@ -20,7 +20,6 @@
 namespace mtsm {
 namespace {
 
-constexpr std::uint32_t kMostTexels = 16384;  // along a side
 constexpr int kMostProbes = 8;
 // A footprint of more texels than this may as well be the whole texture.
 constexpr double kWholeTexture = 1e12;
@@ -77,7 +76,8 @@ struct Between {
 
 /// `u` in [0, 1], of `n` texels; only a repeated row goes on at its other end.
 /// Inlined by force: as a call it takes longer than all the rest of a lookup.
-[[gnu::always_inline]] inline Between between(float u, std::uint32_t n, TextureWrap wrap) {
+[[gnu::always_inline]] inline Between between(float u, std::uint32_t n,
+                                              TextureWrap wrap) {
     const float x = u * float(n) - 0.5f;
     const auto i = std::int32_t(x + 1.0f) - 1;  // floor, as x >= -0.5
     const auto last = std::int32_t(n) - 1;
@@ -126,6 +126,7 @@ bool isFinite(glm::dvec2 v) {
 
 Status check(const OpacityImage& image) {
     using base::makeError;
+    constexpr std::uint32_t kMostTexels = OpacityImage::kMostTexels;
     for (const std::uint32_t side : {image.width, image.height})
         if (side < 1 || side > kMostTexels)
             return makeError(ErrorCode::badArgument, "an opacity texture of ",
@@ -184,7 +185,7 @@ OpacityTexture::Level OpacityTexture::halved(const Level& from, std::uint32_t ch
     return to;
 }
 
-Result<OpacityTexture> OpacityTexture::create(const OpacityImage& image) {
+Result<OpacityTexture> OpacityTexture::create(OpacityImage image) {
     if (Status s = check(image); !s) return s.error();
     OpacityTexture texture;
     texture.channels_ = image.channels;
@@ -192,9 +193,9 @@ Result<OpacityTexture> OpacityTexture::create(const OpacityImage& image) {
     texture.wrapV_ = image.wrapV;
     texture.cutoff_ = image.cutoff;
     texture.opacity_ = image.opacity;
-    Level level{image.width, image.height, image.texels};
+    Level level{image.width, image.height, std::move(image.texels)};
     if (image.cutoff >= 0.0f) {
-        texture.original_ = image.texels;
+        texture.original_ = level.texels;
         for (float& texel : level.texels)
             texel = texel >= image.cutoff ? 1.0f : 0.0f;
     }

@@ -8,11 +8,11 @@
 
 #include "base/message.h"
 #include "scene/assimp_scene.h"
-#include "scene/material_opacity.h"
 #include "scene/name_filter.h"
 #include "scene/ply.h"
 #include "scene/polygon.h"
 #include "scene/send.h"
+#include "scene/send_materials.h"
 
 namespace mtsm::scene {
 namespace {
@@ -153,22 +153,6 @@ class Placement {
     bool passed_ = false;
 };
 
-/// Materials that share an oddity, for one warning about all of them.
-class OddMaterials {
-  public:
-    void add(const aiMaterial& material) { names_.insert(material.GetName().C_Str()); }
-    /// Sends `path: material "name" and 2 more: what`.
-    void warn(const std::string& path, const char* what, FrameWriter& out) const {
-        if (names_.empty()) return;
-        std::string who = base::concat("material \"", *names_.begin(), "\"");
-        if (names_.size() > 1) who += base::concat(" and ", names_.size() - 1, " more");
-        out.warning(base::concat(path, ": ", who, ": ", what));
-    }
-
-  private:
-    std::set<std::string> names_;
-};
-
 std::vector<std::uint32_t> triangleIndices(const aiMesh& mesh, PolygonCutter& cutter) {
     std::vector<std::uint32_t> indices;
     indices.reserve(std::size_t(3) * mesh.mNumFaces);
@@ -180,33 +164,28 @@ std::vector<std::uint32_t> triangleIndices(const aiMesh& mesh, PolygonCutter& cu
     return indices;
 }
 
-void sendPlaced(const std::string& path, const aiScene& scene, const Placement& placement,
-                SourceFormat format, const std::optional<float>& override,
-                FrameWriter& out) {
+Status sendPlaced(const aiScene& scene, const Placement& placement, Materials& materials,
+                  FrameWriter& out) {
     static_assert(sizeof(aiVector3D) == 3 * sizeof(float));
-    OddMaterials alphaTexture, takenForOpaque;
+    const auto placed = [&](const auto& visit) {
+        for (unsigned m = 0; m < scene.mNumMeshes; ++m)
+            if (!placement.places()[m].empty()) visit(*scene.mMeshes[m], m);
+    };
+    placed([&](const aiMesh& mesh, unsigned) { materials.use(mesh); });
+    if (Status s = materials.sendTextures(); !s) return s;
     PolygonCutter cutter;
-    for (unsigned m = 0; m < scene.mNumMeshes; ++m) {
-        const aiMesh& mesh = *scene.mMeshes[m];
-        if (placement.places()[m].empty()) continue;
+    placed([&](const aiMesh& mesh, unsigned m) {
         const auto indices = triangleIndices(mesh, cutter);
-        if (indices.empty()) continue;
-        const aiMaterial& material = *scene.mMaterials[mesh.mMaterialIndex];
-        MaterialOpacity opacity{override.value_or(1.0f)};
-        if (!override) opacity = materialOpacity(material, format);
-        if (opacity.alphaTexture) alphaTexture.add(material);
-        if (opacity.takenForOpaque) takenForOpaque.add(material);
+        if (indices.empty()) return;
+        const CastMaterial& material = materials.of(mesh);
+        const auto uvs = materials.uvs(mesh);
         std::vector<Instance> instances;
         for (const glm::dmat4& world : placement.places()[m])
-            instances.push_back({world, opacity.value});
-        out.mesh({&mesh.mVertices[0].x, std::size_t(3) * mesh.mNumVertices}, indices,
-                 instances);
-    }
-    alphaTexture.warn(
-        path, "the alpha of its texture is ignored, only one opacity is used", out);
-    takenForOpaque.warn(
-        path, "its opacity of 0 is taken for 1, as COLLADA exporters often mean that",
-        out);
+            instances.push_back({world, material.opacity});
+        out.mesh({&mesh.mVertices[0].x, std::size_t(3) * mesh.mNumVertices}, uvs, indices,
+                 instances, uvs.empty() ? kNoTexture : material.texture, material.tint);
+    });
+    return {};
 }
 
 void failWithoutTriangles(const std::string& path, std::uint64_t points,
@@ -262,7 +241,10 @@ void sendMeshes(const std::string& path, const MeshFileOptions& options,
     if (census.triangles == 0)
         return failWithoutTriangles(path, census.points, census.lines, out);
     const Placement placement(*file.scene(), filter);
-    sendPlaced(path, *file.scene(), placement, file.format(), options.opacity, out);
+    Materials materials(path, *file.scene(), file.format(), options, out);
+    if (Status s = sendPlaced(*file.scene(), placement, materials, out); !s)
+        return out.failure(s.error().code, s.error().message);
+    materials.warn();
     if (!placement.anyPassed()) {
         for (const std::string& name : placement.names())
             out.name(name);

@@ -64,6 +64,14 @@ Crossing cross(Interval i, Linear f) noexcept {
     return {std::min(t, i.end), !rising};
 }
 
+/// Where a ray goes over from one face to the next, and the depth that both have there;
+/// NaN if it does not.
+struct Joint {
+    double t = NAN, z = NAN;
+};
+
+/// One face; kJoined: of several.
+template <bool kJoined>
 class Traversal {
   public:
     Traversal(const ShadowMap& map, std::uint32_t face, const Ray& ray, bool surfaces,
@@ -85,6 +93,12 @@ class Traversal {
         y_ = {p.scale.y * o.y + p.offset.y * h_.a, p.scale.y * d.y + p.offset.y * h_.b};
     }
 
+    /// The ray comes from another face and goes on into one.
+    void join(Joint from, Joint to) {
+        from_ = from;
+        to_ = to;
+    }
+
     /// True if the ray fell to the threshold.
     bool run(Interval t) {
         // Clip by the range of depths that the face holds, and by its window.
@@ -100,7 +114,7 @@ class Traversal {
         t = clip(t, Linear{farthest, 0.0} - z_);
         // Where faces meet, rounding must not cut: the pixel at the border goes on for a
         // little.
-        const double margin = map_.faceCount() > 1 ? kFaceMargin : 0.0;
+        const double margin = kJoined ? kFaceMargin : 0.0;
         t = clip(t, x_ + margin * h_);
         t = clip(t, (map_.info().width + margin) * h_ - x_);
         t = clip(t, y_ + margin * h_);
@@ -110,10 +124,20 @@ class Traversal {
     }
 
   private:
+    /// Depths never go back, and at the joints are what the other face takes them for:
+    /// so no sample there is met by both faces or by none.
+    [[nodiscard]] double depthAt(double t) const {
+        if constexpr (!kJoined) return z_.at(t);
+        if (t == from_.t) return from_.z;
+        if (t == to_.t) return to_.z;
+        const Joint low = z_.b < 0.0 ? to_ : from_, high = z_.b < 0.0 ? from_ : to_;
+        return std::min(std::max(z_.at(t), low.z), high.z);  // in this order for NaN
+    }
+
     /// trace(node, ray) of the paper: children are visited in the order in which the ray
     /// meets them, up to three of the four.
     bool visit(std::uint32_t level, std::uint32_t x, std::uint32_t y, Interval t) {
-        const double zEnter = z_.at(t.begin), zExit = z_.at(t.end);
+        const double zEnter = depthAt(t.begin), zExit = depthAt(t.end);
         const double zLow = std::min(zEnter, zExit), zHigh = std::max(zEnter, zExit);
         const double bias = options_.bias.at(zHigh);
         const ZRange range = map_.zRange(face_, level, x, y);
@@ -180,6 +204,7 @@ class Traversal {
     bool media_;
     double length_;  // per unit of t, of media
     Linear x_, y_, h_, z_;
+    Joint from_, to_;
 };
 
 /// Where a ray is to be traced, and what is to count there.
@@ -202,7 +227,7 @@ bool traceFaces(const ShadowMap& map, const Ray& ray, Stretch stretch,
     }
     // The depth in the ray's face is overtaken by one that grows faster, five times at
     // most.
-    for (;;) {
+    for (Joint from;;) {
         t.end = stretch.t.end;
         std::uint32_t next = face;
         for (std::uint32_t f = 0; f < 6; ++f) {
@@ -215,18 +240,25 @@ bool traceFaces(const ShadowMap& map, const Ray& ray, Stretch stretch,
                 next = f;
             }
         }
-        if (Traversal(map, face, ray, stretch.surfaces, options, state).run(t))
-            return true;
+        Joint to;
+        if (next != face) {
+            const double z = depth[face].at(t.end);
+            to = {t.end, depth[face].b < 0.0 ? std::min(z, from.z) : std::max(z, from.z)};
+        }
+        Traversal<true> traversal(map, face, ray, stretch.surfaces, options, state);
+        traversal.join(from, to);
+        if (traversal.run(t)) return true;
         if (next == face) return false;
         t.begin = t.end;
         face = next;
+        from = to;
     }
 }
 
 bool trace(const ShadowMap& map, const Ray& ray, Stretch stretch,
            const TraceOptions& options, RayState& state) {
     if (map.faceCount() > 1) return traceFaces(map, ray, stretch, options, state);
-    return Traversal(map, 0, ray, stretch.surfaces, options, state).run(stretch.t);
+    return Traversal<false>(map, 0, ray, stretch.surfaces, options, state).run(stretch.t);
 }
 
 /// How many of the n samples at a + j (b - a) / n, j = 1..n, lie in front of depth z; or
@@ -305,13 +337,14 @@ struct Layers {
 bool take(const Layers& layers, std::uint32_t i, bool restart, std::uint32_t count,
           bool last, double stretch, const TraceOptions& options, RayState& state) {
     const double share = double(count) / layers.n(i), power = stretch * share;
-    const bool blocks = last && count > 0 && layers.isDark(i);
+    const bool ends = last && count > 0;
+    const bool blocks = ends && layers.isDark(i);
     bool dark = true;
     for (std::uint32_t c = 0; c < layers.channels; ++c) {
         const double v = layers.v(i, c), before = restart ? 1.0 : layers.v(i - 1, c);
         double& remaining = state.visible[c];
         // Of what ends dark, the last sample is what blocks.
-        if (blocks || (v <= 0.0 && before > 0.0 && last)) {
+        if (blocks || (ends && v <= 0.0 && before > 0.0)) {
             remaining = 0.0;
         } else if (count == 0 || v >= before) {
             // Nothing is taken.

@@ -164,7 +164,7 @@ TEST_CASE("meshes that break their promises are refused", "[bake][bad-input]") {
     Mesh wild = square();
     wild.indices[4] = 6;
     checkNames(refused([](BakeOptions&) {}, {square(), wild}), ErrorCode::badArgument,
-               "mesh 1 has a triangle with vertex 6, but only 6 vertices");
+               "caster 1 has a triangle with vertex 6, but only 6 vertices");
     for (const float opacity : {-0.5f, 1.5f, float(kNan)}) {
         Mesh odd = square();
         odd.opacity = opacity;

@@ -6,6 +6,7 @@
 #include <glm/gtc/matrix_transform.hpp>
 
 #include "bake/casters.h"
+#include "bake/placement.h"
 #include "mtsm/bake.h"
 
 using namespace mtsm;
@@ -46,6 +47,19 @@ Baked mustBake(CasterSource& casters, const BakeOptions& options) {
 
 glm::dvec3 world(const Mesh& mesh, std::size_t i) {
     return glm::dvec3(mesh.worldFromObject * glm::dvec4(mesh.positions[i], 1.0));
+}
+
+Result<bake_detail::Placement> placed(CasterSource& casters, const BakeOptions& options) {
+    if (auto s = bake_detail::checkOptions(options); !s) return s.error();
+    const bake_detail::Progress progress(options);
+    bake_detail::Visits visits(casters, progress);
+    return bake_detail::place(visits, options);
+}
+
+BakeOptions bulb(LightShape shape, glm::dvec3 position, double radius) {
+    BakeOptions o = lamp(shape, position, radius);
+    o.cube = true;
+    return o;
 }
 
 }  // namespace
@@ -304,16 +318,16 @@ TEST_CASE("casters are visited as often as the options leave open", "[bake]") {
     Casters casters({octagon(2)});
     BakeOptions o = lamp(LightShape::disk, {0, 4, 0}, 0.3);
     mustBake(casters, o);
-    CHECK(casters.visits == 4);  // bounds, push-back, window, raster
+    CHECK(casters.visits == 5);  // bounds, push-back, window, kinds, raster
     casters.visits = 0;
     o.fov = 1.0;
     mustBake(casters, o);
-    CHECK(casters.visits == 1);
+    CHECK(casters.visits == 2);
     casters.visits = 0;
     o.fov.reset();
     o.light.radius = 0;
     mustBake(casters, o);
-    CHECK(casters.visits == 3);
+    CHECK(casters.visits == 4);
 }
 
 TEST_CASE("a scene 1e7 from the world's origin bakes as at the origin", "[bake]") {
@@ -339,5 +353,126 @@ TEST_CASE("a scene 1e7 from the world's origin bakes as at the origin", "[bake]"
                     REQUIRE(std::abs(p.z[i] - q.z[i]) < 2e-6f);
             }
         }
+    }
+}
+
+TEST_CASE("six views share out the space around the light's centre", "[bake][exact]") {
+    Casters casters({octagon(2)});
+    const glm::dvec3 axes[] = {{1, 0, 0},  {-1, 0, 0}, {0, 1, 0},
+                               {0, -1, 0}, {0, 0, 1},  {0, 0, -1}};
+    for (const LightShape shape :
+         {LightShape::point, LightShape::disk, LightShape::rect, LightShape::sphere}) {
+        BakeOptions o = bulb(shape, {0.25, 4, -1}, 0.5);
+        o.width = o.height = 48;
+        const auto p = placed(casters, o);
+        REQUIRE(p);
+        REQUIRE(p->projections.size() == 6);
+        std::vector<MapFace> faces(6);
+        for (int f = 0; f < 6; ++f) {
+            const Projection& q = p->projections[std::size_t(f)];
+            CHECK(q.kind == ProjectionKind::perspective);
+            CHECK(q.eye == o.light.position);  // no push-back
+            CHECK(q.forward == axes[f]);
+            CHECK(q.right == glm::cross(q.forward, q.up));
+            // A tangent of exactly 1 to each side.
+            CHECK(q.lightFromRaster({0, 0}, 1.0) == glm::dvec3(-1, 1, 1));
+            CHECK(q.lightFromRaster({48, 48}, 1.0) == glm::dvec3(1, -1, 1));
+            faces[std::size_t(f)].projection = q;
+            faces[std::size_t(f)].tiles.resize(1);
+        }
+        // And a map may be made of them.
+        MapInfo info;
+        info.width = info.height = 48;
+        info.light = p->light;
+        CHECK(ShadowMap::create(info, faces));
+    }
+}
+
+TEST_CASE("in six views what is inside the light casts nothing", "[bake][exact]") {
+    Casters casters({octagon(2)});
+    const auto near = [&](const BakeOptions& o) {
+        const auto p = placed(casters, o);
+        REQUIRE(p);
+        for (const Projection& q : p->projections)
+            CHECK(q.near == p->projections[0].near);
+        return p->projections[0].near;
+    };
+    // The largest cube in a sphere touches it with its corners.
+    const double side = near(bulb(LightShape::sphere, {0, 4, 0}, 0.5));
+    CHECK(glm::length(glm::dvec3(side)) == Approx(0.5));
+    // All others are as points: 1e-6 of the distance to the octagon's far end.
+    const double far = 4 + 2 * std::sqrt(2.0);
+    CHECK(near(bulb(LightShape::point, {0, 4, 0}, 0)) == Approx(1e-6 * far));
+    CHECK(near(bulb(LightShape::disk, {0, 4, 0}, 0.5)) == Approx(1e-6 * far));
+    BakeOptions o = bulb(LightShape::disk, {0, 4, 0}, 0.5);
+    o.near = 0.125;
+    o.far = 17.0;
+    CHECK(near(o) == 0.125);
+    CHECK(placed(casters, o)->projections[5].far == 17.0);
+    // far may lie within the sphere's radius, but not within the cube.
+    o = bulb(LightShape::sphere, {0, 4, 0}, 0.5);
+    o.far = 0.4;
+    CHECK(placed(casters, o));
+    o.far = 0.2;
+    CHECK_FALSE(placed(casters, o));
+}
+
+TEST_CASE("a one-sided light in a cube of views is aimed as without", "[bake]") {
+    Casters casters({octagon(2)});
+    BakeOptions o = bulb(LightShape::rect, {0, 4, 0}, 0);
+    o.light.size = {0.5, 0.25};
+    o.light.up = {1, 5, 0};
+    o.target = glm::dvec3(0, 0, 4);
+    const auto p = placed(casters, o);
+    REQUIRE(p);
+    CHECK(glm::length(p->light.direction - glm::normalize(glm::dvec3(0, -4, 4))) < 1e-12);
+    CHECK(std::abs(glm::dot(p->light.up, p->light.direction)) < 1e-12);
+    o.target.reset();  // the casters' centre
+    CHECK(glm::length(placed(casters, o)->light.direction - glm::dvec3(0, -1, 0)) < 1e-6);
+    o.target = o.light.position;
+    CHECK_FALSE(placed(casters, o));
+    // A light without a front needs no target and may stand anywhere.
+    o = bulb(LightShape::sphere, {0, 0, 0}, 0.5);
+    CHECK(placed(casters, o));
+}
+
+TEST_CASE("six views read the casters only where their extent is asked for", "[bake]") {
+    Casters casters({octagon(2)});
+    REQUIRE(placed(casters, bulb(LightShape::sphere, {0, 4, 0}, 0.5)));
+    CHECK(casters.visits == 0);
+    REQUIRE(placed(casters, bulb(LightShape::point, {0, 4, 0}, 0)));
+    CHECK(casters.visits == 1);
+}
+
+TEST_CASE("six views are refused where they make no sense, and offered where they do",
+          "[bake][bad-input]") {
+    Casters casters({octagon(2)});
+    const auto message = [&](const BakeOptions& o) {
+        const auto p = placed(casters, o);
+        REQUIRE_FALSE(p);
+        CHECK(p.error().code == ErrorCode::badArgument);
+        return p.error().message;
+    };
+    const auto has = [](const char* text) { return Catch::Contains(text); };
+    BakeOptions o = bulb(LightShape::sun, {0, 4, 0}, 0);
+    CHECK_THAT(message(o), has("--projection cube: a sun"));
+    o = bulb(LightShape::point, {0, 4, 0}, 0);
+    o.fov = 1.0;
+    CHECK_THAT(message(o), has("--fov") && has("--projection cube"));
+    o.fov.reset();
+    o.height = 32;
+    CHECK_THAT(message(o), has("--resolution 64x32") && has("square"));
+    // Inside the casters, and beside them.
+    Mesh floor = octagon(2), ceiling = octagon(2);
+    ceiling.worldFromObject = glm::translate(glm::dmat4(1.0), {0, 3, 0});
+    Casters room({floor, ceiling});
+    for (const double height : {1.5, 3.2}) {
+        o = lamp(LightShape::point, {0, height, 0}, 0);
+        if (height > 3) o.target = glm::dvec3(5, 3.2, 0);
+        const auto refused = placed(room, o);
+        REQUIRE_FALSE(refused);
+        CHECK_THAT(refused.error().message, has("--projection cube"));
+        o.cube = true;
+        CHECK(placed(room, o));
     }
 }

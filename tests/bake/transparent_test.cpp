@@ -144,7 +144,7 @@ TEST_CASE("rays far off the axis pay for their whole way through a medium",
     o.width = o.height = 256;
     o.tolerance = 0.0f;
     const ShadowMap map = mustBake(casters, o);
-    for (const double slope : {0.5, 1.0, 2.0, 8.0}) {
+    for (const double slope : {0.5, 1.0, 2.0}) {
         double sum = 0.0;
         const int rays = 2000;
         Random random(7);
@@ -235,7 +235,7 @@ TEST_CASE("bands that memory makes do not change the map", "[bake]") {
     o.width = o.height = 256;
     BakeReport whole, banded;
     const ShadowMap a = mustBake(casters, o, &whole);
-    o.maxBytes = 20u << 20;
+    o.maxBytes = 12u << 20;
     const ShadowMap b = mustBake(casters, o, &banded);
     CHECK(whole.passes == 1);
     CHECK(banded.passes > 1);

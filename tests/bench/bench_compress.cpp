@@ -1,11 +1,16 @@
 // bench_compress - layers and bytes per sample, and samples per second, against the
 // tolerance; and what it buys that the visibility behind a layer may be off.
 #include <benchmark/benchmark.h>
+#include <tbb/global_control.h>
 
+#include <stdexcept>
 #include <string>
 
+#include "bumpy_mesh.h"
+#include "compress/hidden.h"
 #include "compress/pixels.h"
 #include "compress/simplify.h"
+#include "mtsm/bake.h"
 #include "mtsm/compress.h"
 
 namespace {
@@ -150,8 +155,39 @@ void onePixel(benchmark::State& state) {
     state.counters["layers"] = double(layers.size());
 }
 
+/// Argument: radius of the light, in percent of the body's; 1024 x 1024, one thread.
+void dropHidden(benchmark::State& state) {
+    const test::Mesh body = test::bumpyBody(350'000);
+    CasterViews casters({body.view()});
+    BakeOptions options;
+    options.light.shape = LightShape::disk;
+    options.light.position = {2, 5, 2.5};
+    options.light.radius = 0.01 * double(state.range(0));
+    options.layers = 16;
+    const auto baked = bake(casters, options);
+    if (!baked) throw std::runtime_error(baked.error().message);
+    const ShadowMap& map = baked->map;
+    MapFace whole;
+    whole.projection = map.projection(0);
+    for (std::uint32_t ty = 0; ty < map.tilesY(); ++ty) {
+        for (std::uint32_t tx = 0; tx < map.tilesX(); ++tx)
+            whole.tiles.push_back(map.tile(0, tx, ty));
+    }
+    tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
+    compress::Hidden hidden;
+    for (auto _ : state) {
+        state.PauseTiming();
+        MapFace face = whole;
+        state.ResumeTiming();
+        hidden = compress::dropHidden(map.info(), face);
+    }
+    state.counters["layers"] = double(map.layerCount());
+    state.counters["dropped"] = double(hidden.layers) / double(map.layerCount());
+}
+
 }  // namespace
 
+BENCHMARK(dropHidden)->Arg(1)->Arg(10)->Arg(33)->Arg(100)->Unit(benchmark::kMillisecond);
 BENCHMARK(compressTile)
     ->ArgNames({"kind", "tolerance", "bounds"})
     ->ArgsProduct({{0, 1, 2}, {0, 10, 100, 500}, {0, 1}})

@@ -473,7 +473,7 @@ TEST_CASE("a head that lies is refused", "[format][bad-input]") {
     const double nan = std::nan("");
     const auto bad = ErrorCode::badFile;
     check(0, 1u, ErrorCode::unsupported, "depth meaning 1");
-    check(4, 1u, ErrorCode::unsupported, "visibility rule 1");
+    check(4, 2u, ErrorCode::unsupported, "visibility rule 2");
     check(8, 5u, bad, "light shape 5");
     check(12, std::nanf(""), bad, "bias");
     check(16, nan, bad, "position");

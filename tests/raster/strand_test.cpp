@@ -565,6 +565,35 @@ TEST_CASE("hairpins, knots and points on top of each other stay within bounds",
     }
 }
 
+TEST_CASE("sizes at the ends of what a float holds do no harm", "[raster][bad-input]") {
+    Random random(17);
+    Projection p = camera(96);
+    p.near = 0.0;
+    const auto any = [&] {
+        return float(random.in(-1, 1) * std::pow(10.0, random.in(-37, 38)));
+    };
+    Strands s;
+    for (int i = 0; i < 3000; ++i) {
+        for (int k = 0; k < 5; ++k) {
+            const bool tame = random.unit() < 0.3;
+            s.points.emplace_back(tame ? random.in(-1, 1) : any(),
+                                  tame ? random.in(-1, 1) : any(), std::abs(any()));
+            s.widths.push_back(std::abs(any()) * float(random.unit() < 0.5));
+        }
+        s.begin.push_back(std::uint32_t(s.points.size()));
+    }
+    for (const Drawn& d : {draw(p, 96, s), draw(flat(30), 96, s)}) {
+        CHECK(d.samples() > 0);
+        std::size_t bad = 0;
+        for (const auto& pixel : d.pixels) {
+            for (const Sample& sample : pixel)
+                bad += !(sample.opacity > 0 && sample.opacity <= 1 && sample.z > 0 &&
+                         std::isfinite(sample.z));
+        }
+        CHECK(bad == 0);
+    }
+}
+
 TEST_CASE("the samples depend neither on threads nor on the rows held nor on batches",
           "[raster]") {
     Random random(21);

@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <fstream>
 #include <glm/geometric.hpp>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -50,6 +51,17 @@ struct SeenMesh {
     std::vector<glm::dvec3> world;
     std::vector<std::uint32_t> indices;
     float opacity = 1;
+    glm::vec3 tint{1};
+    std::vector<glm::vec2> uvs;
+    std::optional<OpacityTexture> texture;
+    const OpacityTexture* shared = nullptr;  ///< where it was; to compare, not to look up
+
+    /// Of the texture, at a point.
+    [[nodiscard]] glm::vec3 at(glm::dvec2 uv) const {
+        glm::vec3 out(-1);
+        texture->opacity(uv, glm::dvec2(0), glm::dvec2(0), &out.x);
+        return texture->channels() == 3 ? out : glm::vec3(out.x);
+    }
 
     [[nodiscard]] double area() const {
         double sum = 0;
@@ -95,6 +107,10 @@ inline Seen see(CasterSource& source) {
                                     glm::dvec4(glm::dvec3(view.positions[i]), 1.0));
         mesh.indices.assign(view.indices, view.indices + 3 * view.triangleCount);
         mesh.opacity = view.opacity;
+        mesh.tint = view.tint;
+        mesh.shared = view.texture;
+        if (view.texture) mesh.texture = *view.texture;
+        if (view.uvs) mesh.uvs.assign(view.uvs, view.uvs + view.vertexCount);
         seen.meshes.push_back(std::move(mesh));
         return {};
     }));

@@ -458,3 +458,32 @@ TEST_CASE("real volumes come in whole", "[scene][volume][data]") {
     CHECK(contains(seeFile(volumes + "sphereCd_vec3.vdb").error(), "\"Cd\" (vec3s)"));
     CHECK(contains(seeFile(volumes + "smoke.nvdb").error(), "NanoVDB"));
 }
+
+#ifdef MTSM_MAKE_SMOKE
+TEST_CASE("the sample smoke is fog of up to 1, where its help says, and ever the same",
+          "[scene][volume][sample]") {
+    const TempFolder folder;
+    const std::string path = folder.path("smoke.vdb");
+    const auto make = [&](const std::string& arguments) {
+        return std::system(
+            ("\"" MTSM_MAKE_SMOKE "\" -o " + path + arguments + " 2>/dev/null").c_str());
+    };
+    REQUIRE(make(" --size 32") == 0);
+    const auto seen = seeFile(path);
+    INFO(seen.error());
+    REQUIRE(seen.status);
+    CHECK(seen.warnings.empty());
+    CHECK(seen.positive > 32 * 32 * 32 / 50);
+    CHECK(seen.positive < 32 * 32 * 32 / 2);
+    for (const auto& [voxel, density] : seen.voxels)
+        REQUIRE(density <= 1.0f);
+    const glm::dvec3 low(seen.worldFromIndex * glm::dvec4(glm::dvec3(seen.low) - 0.5, 1));
+    const glm::dvec3 high(seen.worldFromIndex *
+                          glm::dvec4(glm::dvec3(seen.high) + 0.5, 1));
+    CHECK(glm::all(glm::greaterThan(low, glm::dvec3(-1.001, -0.001, -1.001))));
+    CHECK(glm::all(glm::lessThan(high, glm::dvec3(1.001, 2.001, 1.001))));
+    REQUIRE(make(" --size 32") == 0);
+    CHECK(seeFile(path).voxels == seen.voxels);
+    CHECK(make(" --size 1") != 0);
+}
+#endif

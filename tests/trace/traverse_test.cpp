@@ -7,6 +7,7 @@
 #include <random>
 
 #include "map_fixture.h"
+#include "trace/brute_force.h"
 #include "trace/traverse.h"
 
 using namespace mtsm;
@@ -16,62 +17,6 @@ using test::TestLayer;
 
 namespace {
 
-/// The definition, without hierarchy or order: each pixel's column is clipped against the
-/// ray by its four sides on its own, in long double.
-double bruteForce(const ShadowMap& map, const Ray& ray, const TraceOptions& options) {
-    using L = long double;
-    const Projection& p = map.projection(0);
-    const glm::dvec3 o = p.lightFromWorldDirection(ray.origin);
-    const glm::dvec3 d = p.lightFromWorldDirection(ray.delta);
-    const bool perspective = p.kind == ProjectionKind::perspective;
-    L visible = 1;
-    for (std::uint32_t y = 0; y < map.info().height; ++y) {
-        for (std::uint32_t x = 0; x < map.info().width; ++x) {
-            L t0 = ray.tBegin, t1 = ray.tEnd;
-            const auto side = [&](L a, L b) {
-                if (b > 0) t0 = std::max(t0, -a / b);
-                if (b < 0) t1 = std::min(t1, -a / b);
-                if (b == 0 && a < 0) t1 = t0 - 1;
-            };
-            const L ha = perspective ? o.z : 1, hb = perspective ? d.z : 0;
-            const auto axis = [&](L scale, L offset, L oa, L da, L low, L high) {
-                side(scale * oa + (offset - low) * ha, scale * da + (offset - low) * hb);
-                side(-scale * oa - (offset - high) * ha,
-                     -scale * da - (offset - high) * hb);
-            };
-            axis(p.scale.x, p.offset.x, o.x, d.x, x, x + 1);
-            axis(p.scale.y, p.offset.y, o.y, d.y, y, y + 1);
-            side(ha - 1e-9L, hb);  // in front of the eye
-            if (!(t0 < t1)) continue;
-            const L za = o.z + d.z * t0, zb = o.z + d.z * t1;
-            const PixelLayers layers = map.pixel(0, x, y);
-            L vBefore = 1;
-            for (std::uint32_t i = 0; i < layers.count; ++i) {
-                const L v = layers.v ? layers.v[i] : 0;
-                const std::uint32_t n = layers.n ? layers.n[i] : 1;
-                const L from = i ? layers.z[i - 1] : layers.z[0];
-                const L bias = options.bias.base;
-                const L low = std::min(za, zb) - bias, high = std::max(za, zb) + bias;
-                int met = 0;
-                for (std::uint32_t j = 1; j <= n; ++j) {
-                    const L z =
-                        j == n ? L(layers.z[i]) : from + j * (layers.z[i] - from) / n;
-                    met += z >= low && z <= high;
-                }
-                const bool last = layers.z[i] >= low && layers.z[i] <= high;
-                if (v == 0 && last)
-                    visible = 0;
-                else if (met && options.attenuation == Attenuation::multiply && v > 0)
-                    visible *= std::pow(v / vBefore, L(met) / n);
-                else if (met && options.attenuation == Attenuation::subtract)
-                    visible = std::max(L(0), visible - (vBefore - v) * met / n);
-                vBefore = v == 0 ? 1 : v;
-            }
-        }
-    }
-    return double(visible);
-}
-
 Projection orthographic(std::uint32_t width, std::uint32_t height) {
     Projection p = test::plainProjection(width, height);
     p.kind = ProjectionKind::orthographic;
@@ -79,46 +24,77 @@ Projection orthographic(std::uint32_t width, std::uint32_t height) {
     return p;
 }
 
+/// Without the planes of v and n, which say nothing of a map of opaque surfaces.
+ShadowMap withoutImpliedPlanes(const ShadowMap& map) {
+    std::vector<MapFace> faces(map.faceCount());
+    for (std::uint32_t f = 0; f < faces.size(); ++f) {
+        faces[f].projection = map.projection(f);
+        for (std::uint32_t i = 0; i < map.tilesX() * map.tilesY(); ++i) {
+            faces[f].tiles.push_back(map.tile(f, i % map.tilesX(), i / map.tilesX()));
+            faces[f].tiles.back().v.clear();
+            faces[f].tiles.back().n.clear();
+        }
+    }
+    return *ShadowMap::create(map.info(), std::move(faces));
+}
+
 }  // namespace
 
 TEST_CASE("a traced ray meets what a walk over all pixels meets", "[trace][exact]") {
-    std::mt19937_64 random(11);
-    const auto unit = [&] { return double(random() >> 11) * 0x1p-53; };
-    // With a bias only opaque layers: what a ray has paid for in one pixel it need not
-    // pay again in the next, which the walk knows nothing of.
-    for (const bool opaque : {false, true}) {
-        const auto layers = [&](std::uint32_t, std::uint32_t) {
+    // With a bias only opaque layers, unless they are media: what a ray has paid for in
+    // one pixel of a sheet it need not pay again in the next, which the walk knows
+    // nothing of.
+    enum class Kind { sheets, opaque, media };
+    for (const Kind kind : {Kind::sheets, Kind::opaque, Kind::media}) {
+        std::mt19937_64 random(11);
+        const auto unit = [&] { return double(random() >> 11) * 0x1p-53; };
+        const bool opaque = kind == Kind::opaque;
+        const auto layers = [&](auto...) {
             std::vector<TestLayer> pixel;
             float z = float(2 + 6 * unit()), v = 1.0f;
             for (int i = int(unit() * (opaque ? 2 : 5)); i > 0; --i) {
                 v *= float(0.5 + 0.5 * unit());
                 if (opaque || unit() < 0.1) v = 0.0f;
                 const std::uint32_t n =
-                    i % 2 && v > 0.0f ? 1 + std::uint32_t(unit() * 6) : 1;
+                    i % 2 && (v > 0.0f || kind == Kind::media) && !opaque
+                        ? 1 + std::uint32_t(unit() * 6)
+                        : 1;
                 pixel.push_back({z, v, n});
                 z += float(unit());
                 if (v == 0.0f) v = 1.0f;
             }
             return pixel;
         };
-        for (const bool perspective : {true, false}) {
+        for (int view = 0; view < 4; ++view) {
             MapInfo info = test::plainInfo(37, 23, 8);
-            const auto projection =
-                perspective ? test::plainProjection(37, 23) : orthographic(37, 23);
-            const ShadowMap map = mapOf(info, projection, layers);
+            if (kind == Kind::media) info.translucent = Translucent::media;
+            const std::uint32_t side = view == 2 ? 16 : 13;
+            if (view >= 2) info.width = info.height = side;
+            const std::vector<Projection> views =
+                view == 0   ? std::vector{test::plainProjection(37, 23)}
+                : view == 1 ? std::vector{orthographic(37, 23)}
+                            : test::cubeProjections(side);
+            ShadowMap map = mapOf(info, views, layers);
+            if (opaque && view % 2) map = withoutImpliedPlanes(map);
             for (int i = 0; i < 2000; ++i) {
                 Ray ray;
-                // World -z is light +z: depths 1..12 and a light near the eye.
+                // World -z is light +z: depths 1..12 and a light near the eye. Six faces
+                // are crossed every which way.
                 ray.origin = {20 * unit() - 10, 20 * unit() - 10, -12 * unit()};
                 ray.delta =
                     glm::dvec3(4 * unit() - 2, 4 * unit() - 2, -unit()) - ray.origin;
+                if (views.size() == 6) {
+                    if (i % 2) ray.origin.z = -ray.origin.z;
+                    if (i % 4 > 1)
+                        ray.delta = glm::dvec3(20 * unit(), 9, 20 * unit()) - ray.origin;
+                }
+                if (kind == Kind::media) ray.tSurfaces = unit() - 0.5;
                 TraceOptions options;
-                options.bias.base = opaque ? 0.2 * unit() : 0.0;
+                options.bias.base = kind == Kind::sheets ? 0.0 : 0.2 * unit();
                 options.attenuation =
                     i % 2 ? Attenuation::multiply : Attenuation::subtract;
-                const double expected = bruteForce(map, ray, options);
-                INFO("ray " << i << (perspective ? " perspective" : " orthographic")
-                            << (opaque ? " opaque" : ""));
+                const double expected = test::bruteForce(map, ray, options);
+                INFO("kind " << int(kind) << " view " << view << " ray " << i);
                 CHECK(traceRay(map, ray, options)[0] == Approx(expected).margin(1e-6));
             }
         }

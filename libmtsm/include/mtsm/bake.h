@@ -48,7 +48,9 @@ struct BakeOptions {
     std::optional<double> near, far;
     std::uint32_t width = 1024, height = 1024;  ///< 1..kMaxResolution
     /// Six views of 90 degrees from the light's centre, to all sides: for lights among
-    /// their casters. width and height are a face's and must be equal; no fov.
+    /// their casters. width and height are a face's and must be equal; no fov, no sun.
+    /// near and far then count from the light's centre along each view's axis; without
+    /// near, what lies in the largest cube inside a sphere casts nothing.
     bool cube = false;
     /// Cap on the layers of a pixel, >= 1. Of opaque surfaces the nearest are kept; what
     /// lets light through is merged into as many layers, beyond the tolerance if it must
@@ -65,7 +67,8 @@ struct BakeOptions {
     std::uint32_t subsamples = 1;  ///< centre rays per side of a pixel, 1..8
     /// Three visibility channels, for casters that tint the light.
     bool color = false;
-    /// Keeps samples that no point of the light can see.
+    /// Keeps layers that no point of the light can see. Without, their number is stored in
+    /// the map as the attribute "hiddenLayers".
     bool keepHidden = false;
     /// z threshold, >= 0, world units. Without: a pixel's footprint at a layer's depth.
     std::optional<float> bias;

@@ -91,8 +91,9 @@ struct LayerList {
     void clear() noexcept;
 };
 
-/// Compresses pixel after pixel and keeps its working memory, about 100 bytes for each
-/// sample of the largest pixel. One for each thread.
+/// Compresses pixel after pixel and keeps its working memory: some 60 bytes for each
+/// sample of the largest pixel, 160 if it is over the cap (three channels: twice that).
+/// One for each thread.
 ///
 /// Where more layers than the cap are left, neighbours are merged, the pair that harms
 /// rays across the centre ray least first (optical depth times the distance it is moved),

@@ -20,7 +20,9 @@ namespace mtsm {
 enum class TextureWrap { repeat, clamp, mirror };
 
 struct OpacityImage {
-    std::uint32_t width = 0, height = 0;  ///< texels, each 1..16384
+    static constexpr std::uint32_t kMostTexels = 16384;  ///< along a side
+
+    std::uint32_t width = 0, height = 0;  ///< texels, each 1..kMostTexels
     std::uint32_t channels = 1;           ///< 1, or 3: how much of red, green and blue
     std::vector<float> texels;  ///< [height][width][channels], upper row first, in [0, 1]
     TextureWrap wrapU = TextureWrap::repeat, wrapV = TextureWrap::repeat;
@@ -35,7 +37,7 @@ class OpacityTexture {
   public:
     /// Errors (badArgument): sizes out of range, texels out of [0, 1] or not finite, an
     /// opacity out of [0, 1], a cutoff that is not finite.
-    [[nodiscard]] static Result<OpacityTexture> create(const OpacityImage& image);
+    [[nodiscard]] static Result<OpacityTexture> create(OpacityImage image);
 
     [[nodiscard]] std::uint32_t channels() const noexcept { return channels_; }
     /// The mean opacity over the parallelogram around `uv` with the sides du and dv (how

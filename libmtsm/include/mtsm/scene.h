@@ -110,20 +110,31 @@ class CasterSource {
     virtual Status visit(const CasterVisitor& visitor) = 0;
 };
 
+/// An image that says how opaque materials are, whatever their file says of textures.
+struct MaterialTexture {
+    std::string material;  ///< shell pattern, matched against whole names
+    std::string image;     ///< path, as the process sees it; empty: no texture
+};
+
 struct MeshFileOptions {
     /// Shell patterns (`*`, `?`, `[a-z]`) matched against whole names: those of the mesh,
     /// its material, its node and all nodes above it. A mesh is a caster if `include` is
     /// empty or one of its names matches one of them, and none of its names matches one
     /// of `exclude`. Case counts; a pattern that matches nothing in a file is a warning.
     std::vector<std::string> include, exclude;
-    /// Replaces every material's, in [0, 1]. Without it: OBJ's d (or 1 - Tr); FBX's
-    /// Opacity; glTF's base colour alpha as the alpha mode has it (BLEND: itself, MASK: 0
-    /// or 1 by the cutoff, OPAQUE: 1); COLLADA's transparency, except that 0 is taken for
-    /// 1, with a warning, because exporters write it inverted; else 1. The alpha of
-    /// textures is not used: one warning per file names a material that has some.
+    /// Replaces every material's number, in [0, 1]. Textures stay: what they say is
+    /// multiplied by it, so a mask keeps its holes and has this opacity between them.
+    /// Without it, see MeshFiles.
     std::optional<float> opacity;
-    /// Geometry kept between visits: whole files, in their order, while they fit. Others
-    /// are read again at each visit.
+    /// For files that do not name their textures, or name what is none. Its alpha counts,
+    /// or without alpha its brightness. Of several that match, the last counts. An image
+    /// that cannot be read is an Error here; a pattern that matches nothing, a warning.
+    std::vector<MaterialTexture> textures;
+    /// Materials that let some light through tint it: MeshView::tint, and textures of
+    /// three channels where colours differ. Without it neither.
+    bool color = false;
+    /// Geometry and textures kept between visits: whole files, in their order, while they
+    /// fit. Others are read again at each visit.
     std::uint64_t cacheBytes = std::uint64_t(1) << 30;
     std::uint64_t importerBytes = std::uint64_t(16)
                                   << 30;  ///< address space an importer may add
@@ -140,6 +151,30 @@ struct MeshFileOptions {
 /// ignored with one warning per file. Axes and units are the file's own, but COLLADA
 /// comes in metres with y up. Degenerate triangles, vertices that are not finite and
 /// meshes of opacity 0 are handed on.
+///
+/// A mesh is as opaque as its material's number times its material's texture:
+///   OBJ      d (or 1 - Tr), map_d
+///   glTF     BLEND: the base colour's alpha, factor and texture; MASK: 0 or 1, whether
+///            that reaches the cutoff; OPAQUE: 1. KHR_texture_transform is honoured.
+///   FBX      Opacity, the texture of TransparentColor or TransparencyFactor
+///   COLLADA  transparency, the texture of transparent. 0 without a texture is taken for
+///            1, with a warning, because exporters write it inverted.
+/// and 1 where the file says nothing. A number of 0 beside a texture of its own is taken
+/// for 1, for some exporters write so that the texture alone counts. Of a texture made
+/// for opacity the alpha counts, or without an alpha channel (or with one that is 1 all
+/// over) the brightness. All formats but glTF: without such a texture the alpha of the
+/// colour texture (map_Kd) counts if it has any, with a warning, because exporters of
+/// foliage leave it there without a word. What passes is tinted by the base colour
+/// (glTF), by Tf or, if that is white, by Kd (OBJ), else by the diffuse colour, times the
+/// colours of the texture if those are the base or diffuse ones; masks have no colour.
+///
+/// Images are embedded or files of their own that OpenImageIO reads, up to 16384 pixels
+/// on a side; they are looked for where the model says, seen from its own folder, and by
+/// their names alone there and in `textures`, `../textures` and
+/// `../materials/textures`. One that is missing or cannot be read is a warning, and the
+/// number alone counts; so is one without alpha where alpha should count. Glass by
+/// KHR_materials_transmission casts as opaque, with a warning. Opacity by vertex is not
+/// read.
 ///
 /// visit() fails with io (no such file, importer killed, file changed between visits),
 /// badFile (not a mesh, cut off, no triangle, an index without its vertex, importer

@@ -1,0 +1,75 @@
+// crossings.h - what a shadow ray pays at each caster it crosses: the filters of the
+// ray-traced reference.
+//
+// Embree finds the hits; a filter takes the crossing's opacity from the ray and lets it
+// go on, until so little is left that it counts as dark. Products do not depend on the
+// order of hits, so the order in which Embree finds them is good enough.
+#pragma once
+#include <embree3/rtcore.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <glm/vec2.hpp>
+#include <glm/vec3.hpp>
+#include <glm/vec4.hpp>
+#include <optional>
+#include <vector>
+
+#include "mtsm/opacity_texture.h"
+
+namespace mtsm::baseline {
+
+inline constexpr float kDark = 1e-4f;  ///< rays with less visibility left end
+
+struct ShadowContext : RTCIntersectContext {
+    glm::vec3 visible{1.0f};  ///< per channel; without colour all three are the same
+    bool color = false;
+    float reach = 0.0f;  ///< where the ray ends; Embree shortens its own to the hit
+
+    /// What is left after a crossing; false: nothing worth tracing on.
+    bool pay(glm::vec3 opacity) noexcept {
+        visible *= 1.0f - opacity;
+        return visible.x > kDark || visible.y > kDark || visible.z > kDark;
+    }
+};
+
+/// A mesh that lets light through. User data of its geometry.
+struct TranslucentMesh {
+    float opacity = 1.0f;
+    glm::vec3 channels{1.0f};  ///< channelOpacity(opacity, tint)
+    std::optional<OpacityTexture> texture;
+    std::vector<glm::vec2> uvs;              ///< [vertices], with a texture
+    const std::uint32_t* indices = nullptr;  ///< [3 * triangles], Embree's copy
+
+    [[nodiscard]] glm::vec3 opacityAt(std::uint32_t triangle, glm::vec2 uv,
+                                      bool color) const noexcept;
+};
+
+/// Strands as flat linear curves: ribbons that face the ray. User data of their geometry.
+struct RibbonStrands {
+    /// Relative to the scene's origin; w: half the width. No point of a strand repeats.
+    std::vector<glm::vec4> points;
+    /// [segments] and padding: a segment's first point. Consecutive segments of a strand
+    /// have consecutive first points, those of different strands have not.
+    std::vector<std::uint32_t> first;
+    std::size_t segments = 0;
+    std::vector<float> opacities;  ///< [points], or empty: all are `opacity`
+    float opacity = 1.0f;
+
+    [[nodiscard]] bool joinsLeft(std::size_t segment) const noexcept {
+        return segment > 0 && first[segment - 1] + 1 == first[segment];
+    }
+    [[nodiscard]] bool joinsRight(std::size_t segment) const noexcept {
+        return segment + 1 < segments && first[segment] + 1 == first[segment + 1];
+    }
+    [[nodiscard]] float opacityAt(std::size_t segment, float u) const noexcept;
+};
+
+/// Occlusion filters: every crossing is paid for. A strand that a ray meets in several
+/// consecutive segments, as around a joint, is crossed once.
+void payMesh(const RTCFilterFunctionNArguments* args);
+void payStrands(const RTCFilterFunctionNArguments* args);
+/// Intersection filter: the holes of a textured mesh are not there.
+void passHoles(const RTCFilterFunctionNArguments* args);
+
+}  // namespace mtsm::baseline
