@@ -624,6 +624,37 @@ class Casters(ToolTest):
         self.assertIn("fur.hair {hair-width = 0.1", settings)
         self.assertIn("fur.hair {transform = ", settings)
 
+    def test_a_volume_is_read_and_its_grid_can_be_named(self):
+        make = os.environ.get("MTSM_MAKE_SMOKE")
+        if not make:
+            self.skipTest("no generator of volumes was built")
+        subprocess.run([make, "--size", "16", "-o", "smoke.vdb"], check=True, stderr=subprocess.DEVNULL)
+        shadow = {}
+        for scale in (1, 0.1):
+            done = self.good(self.bake("smoke.vdb", "--density-scale", scale, "--json"))
+            j = json.loads(done.stdout)
+            self.assertEqual((j["casters"]["volumes"], j["casters"]["meshes"]), (1, 0))
+            self.assertGreater(j["casters"]["voxels"], 100)
+            self.assertIn("1 volume, ", done.stderr)
+            row, = csv.DictReader(io.StringIO(run("query", "a.mtsm", "--point", "0,0,0", "--samples", 1).stdout))
+            shadow[scale] = float(row["shadow"])
+        self.assertLess(shadow[0.1], shadow[1])
+        self.good(self.bake("smoke.vdb", "--density-grid", "density"))
+        self.fails(self.bake("smoke.vdb", "--density-grid", "heat"), 2, "smoke.vdb", '"heat"', "density")
+        self.fails(self.bake("smoke.vdb", "--hair-width", 1), 2, "none of the inputs is hair")
+        data = pathlib.Path("smoke.vdb").read_bytes()
+        for cut in (100, len(data) // 2, len(data) - 10):
+            pathlib.Path("cut.vdb").write_bytes(data[:cut])
+            self.fails(self.bake("cut.vdb"), 4, "cut.vdb")
+
+    def test_six_faces_make_one_map(self):
+        done = self.good(run("bake", "scene.obj", "--light-shape", "point", "--light-position", "0,2,0",
+                             "--projection", "cube", "--resolution", 32, "-o", "a.mtsm", "--json"))
+        self.assertEqual(json.loads(done.stdout)["faces"], 6)
+        rows = csv.DictReader(io.StringIO(run("query", "a.mtsm", "--point", "0.1,0.5,0.1", "--point",
+                                              "3,1.5,0.1").stdout))
+        self.assertEqual([float(row["shadow"]) for row in rows], [1, 0])
+
     def test_options_of_a_kind_need_an_input_of_that_kind(self):
         for option in ("--opacity", "--include", "--exclude", "--density-scale", "--density-grid"):
             self.fails(self.bake("fur.hair", option, "1"), 2, option, "none of the inputs")
