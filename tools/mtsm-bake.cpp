@@ -193,8 +193,8 @@ void addLayerOptions(CLI::App& app, Arguments& a) {
 void addCasterOptions(CLI::App& app, Arguments& a) {
     const std::string meshes = "Meshes", hair = "Hair", volumes = "Volumes";
     addNumber(app, "--opacity", a.opacity, {0.0, 1.0}, "A",
-              "opacity of all meshes, 0 to 1 (default: their\n"
-              "materials' and textures')")
+              "opacity of all materials, 0 to 1; alpha textures\n"
+              "still cut their holes (default: the materials' own)")
         ->group(meshes);
     const auto addGlobs = [&](const char* name, std::vector<std::string>& globs,
                               const char* help) {
@@ -210,18 +210,19 @@ void addCasterOptions(CLI::App& app, Arguments& a) {
     addGlobs("--exclude", a.exclude, "all but meshes that match; may be repeated");
 
     addNumber(app, "--hair-width", a.hairWidth, {0.0, kAny}, "W",
-              "full width of all strands at the root, units of the\n"
-              "file (default: the file's)")
+              "full width of all strands at the root, in units of\n"
+              "the scaled file (default: the file's)")
         ->group(hair);
     addNumber(app, "--hair-tip-width", a.hairTipWidth, {0.0, kAny}, "W",
-              "at the tip (default: the file's, or --hair-width)")
+              "at the tip; needs --hair-width (default: the same)")
         ->group(hair);
     addNumber(app, "--hair-opacity", a.hairOpacity, {0.0, 1.0}, "A",
               "part of the light that crosses a strand and is\n"
               "stopped, 0 to 1 (default: the file's)")
         ->group(hair);
     addNumber(app, "--hair-scale", a.hairScale, {0.0, kAny}, "F",
-              "multiplies all widths, above 0 (default: 1)")
+              "multiplies positions and the file's widths: 0.01 for\n"
+              "hair in centimetres on a head in metres (default: 1)")
         ->group(hair);
 
     addText(app, "--density-grid", a.densityGrid, "NAME",

@@ -9,6 +9,8 @@
 #include <utility>
 
 #include "base/message.h"
+#include "mtsm/hair_files.h"
+#include "mtsm/volume_files.h"
 
 namespace mtsm {
 namespace {
@@ -112,42 +114,53 @@ CasterVisitor moved(const glm::dmat4& transform, const CasterVisitor& visitor) {
     };
 }
 
-/// Files that one reader reads.
+/// Files that one reader reads: one, or meshes with the same settings.
 struct Group {
-    CasterFile settings;  // of the first of them
-    std::vector<std::string> paths;
+    CasterKind kind = CasterKind::mesh;
+    std::vector<CasterFile> files;
     std::unique_ptr<CasterSource> source;
+
+    [[nodiscard]] bool takes(const CasterFile& file) const {
+        const CasterFile& first = files.front();
+        return kind == CasterKind::mesh && first.transform == file.transform &&
+               first.opacity == file.opacity && first.include == file.include &&
+               first.exclude == file.exclude;
+    }
 };
 
-/// One reader may take both.
-bool canShare(const CasterFile& a, const CasterFile& b) {
-    return casterKind(a.path) == CasterKind::mesh &&
-           casterKind(b.path) == CasterKind::mesh && a.transform == b.transform &&
-           a.opacity == b.opacity && a.include == b.include && a.exclude == b.exclude;
+void addMeshes(const CasterFile& file, std::vector<Group>& groups) {
+    for (Group& group : groups)
+        if (group.takes(file)) return group.files.push_back(file);
+    groups.push_back({CasterKind::mesh, {file}, nullptr});
 }
 
-std::vector<Group> groupsOf(std::vector<CasterFile> files) {
+Result<std::vector<Group>> groupsOf(const std::vector<CasterFile>& files) {
     std::vector<Group> groups;
-    for (CasterFile& file : files) {
-        auto at = std::find_if(groups.begin(), groups.end(), [&](const Group& group) {
-            return canShare(group.settings, file);
-        });
-        if (at == groups.end()) {
-            groups.emplace_back();
-            at = std::prev(groups.end());
-            at->settings = file;
+    for (const CasterFile& file : files) {
+        const CasterKind kind = casterKind(file.path);
+        if (kind != CasterKind::mesh) {
+            groups.push_back({kind, {file}, nullptr});
+            continue;
         }
-        at->paths.push_back(std::move(file.path));
+        ObjContent content{.polylines = false, .faces = true};
+        if (mayHold(file.path, CasterKind::hair)) {
+            const auto found = objContent(file.path);
+            if (!found) return found.error();
+            content = *found;
+        }
+        // One with neither is left to the reader of meshes to complain of.
+        if (content.faces || !content.polylines) addMeshes(file, groups);
+        if (content.polylines) groups.push_back({CasterKind::hair, {file}, nullptr});
     }
     return groups;
 }
 
-std::uint64_t fileBytes(const std::vector<std::string>& paths) {
-    std::uint64_t sum = 1;
-    for (const std::string& path : paths) {
+double fileBytes(const Group& group) {
+    double sum = 1.0;
+    for (const CasterFile& file : group.files) {
         std::error_code problem;
-        const auto size = std::filesystem::file_size(path, problem);
-        if (!problem) sum += size;
+        const auto size = std::filesystem::file_size(file.path, problem);
+        if (!problem) sum += double(size);
     }
     return sum;
 }
@@ -155,38 +168,69 @@ std::uint64_t fileBytes(const std::vector<std::string>& paths) {
 std::unique_ptr<CasterSource> meshSource(const Group& group,
                                          const CasterFilesOptions& options,
                                          std::uint64_t cacheBytes) {
+    const CasterFile& first = group.files.front();
+    std::vector<std::string> paths;
+    for (const CasterFile& file : group.files)
+        paths.push_back(file.path);
     MeshFileOptions o;
-    o.include = group.settings.include;
-    o.exclude = group.settings.exclude;
-    o.opacity = group.settings.opacity;
+    o.include = first.include;
+    o.exclude = first.exclude;
+    o.opacity = first.opacity;
+    o.color = options.color;
     o.cacheBytes = cacheBytes;
     o.importerBytes = options.importerBytes;
     o.warn = options.warn;
     o.progress = options.progress;
-    return std::make_unique<MeshFiles>(group.paths, std::move(o));
+    return std::make_unique<MeshFiles>(std::move(paths), std::move(o));
 }
 
-/// The reader of a group's files.
-Result<std::unique_ptr<CasterSource>> openGroup(const Group& group,
-                                                const CasterFilesOptions& options,
-                                                std::uint64_t cacheBytes) {
-    switch (casterKind(group.settings.path)) {
+std::unique_ptr<CasterSource> hairSource(const CasterFile& file,
+                                         const CasterFilesOptions& options) {
+    HairFileOptions o;
+    o.width = file.hairWidth;
+    o.tipWidth = file.hairTipWidth;
+    o.opacity = file.hairOpacity;
+    o.scale = file.hairScale;
+    o.warn = options.warn;
+    o.progress = options.progress;
+    return std::make_unique<HairFile>(file.path, std::move(o));
+}
+
+std::unique_ptr<CasterSource> volumeSource(const CasterFile& file,
+                                           const CasterFilesOptions& options,
+                                           std::uint64_t cacheBytes) {
+    VolumeFileOptions o;
+    o.grid = file.densityGrid;
+    o.densityScale = file.densityScale;
+    o.cacheBytes = cacheBytes;
+    o.importerBytes = options.importerBytes;
+    o.warn = options.warn;
+    o.progress = options.progress;
+    return std::make_unique<VolumeFile>(file.path, std::move(o));
+}
+
+/// Opens the reader of a group's files.
+void openReader(Group& group, const CasterFilesOptions& options,
+                std::uint64_t cacheBytes) {
+    const CasterFile& first = group.files.front();
+    switch (group.kind) {
         case CasterKind::mesh:
-            return meshSource(group, options, cacheBytes);
+            group.source = meshSource(group, options, cacheBytes);
+            break;
         case CasterKind::hair:
+            group.source = hairSource(first, options);
+            break;
         case CasterKind::volume:
+            group.source = volumeSource(first, options, cacheBytes);
             break;
     }
-    return makeError(ErrorCode::unsupported, group.paths.front(), ": ",
-                     name(casterKind(group.settings.path)), " cannot be read yet");
 }
 
 }  // namespace
 
 CasterKind casterKind(const std::string& path) {
-    const std::string type = extension(path);
-    if (type == ".hair" || type == ".tfx") return CasterKind::hair;
-    return type == ".vdb" ? CasterKind::volume : CasterKind::mesh;
+    if (isHairFile(path)) return CasterKind::hair;
+    return extension(path) == ".vdb" ? CasterKind::volume : CasterKind::mesh;
 }
 
 bool mayHold(const std::string& path, CasterKind kind) {
@@ -197,6 +241,9 @@ bool mayHold(const std::string& path, CasterKind kind) {
 Status checkCaster(const CasterFile& file) {
     if (Status s = checkUses(file); !s) return s;
     if (Status s = checkNumbers(file); !s) return s;
+    if (file.hairTipWidth && !file.hairWidth)
+        return makeError(ErrorCode::badArgument, file.path,
+                         ": hair-tip-width needs hair-width, the width at the root");
     if (!isInvertible(file.transform))
         return makeError(ErrorCode::badArgument, file.path,
                          ": transform must be finite, invertible and affine (last row "
@@ -219,19 +266,16 @@ Status CasterFiles::Impl::open() {
         return makeError(ErrorCode::badArgument, "no file of casters is given");
     for (const CasterFile& file : files)
         if (Status s = checkCaster(file); !s) return s;
-    std::vector<Group> opened = groupsOf(files);
+    auto opened = groupsOf(files);
+    if (!opened) return opened.error();
     double total = 0.0;
-    for (const Group& group : opened)
-        total += double(fileBytes(group.paths));
-    for (Group& group : opened) {
-        const double share = double(fileBytes(group.paths)) / total;
-        auto source =
-            openGroup(group, options,
-                      std::uint64_t(std::floor(double(options.cacheBytes) * share)));
-        if (!source) return source.error();
-        group.source = *std::move(source);
-    }
-    groups = std::move(opened);
+    for (const Group& group : *opened)
+        total += fileBytes(group);
+    for (Group& group : *opened)
+        openReader(
+            group, options,
+            std::uint64_t(double(options.cacheBytes) * (fileBytes(group) / total)));
+    groups = *std::move(opened);
     return {};
 }
 
@@ -246,7 +290,8 @@ CasterFiles::~CasterFiles() = default;
 Status CasterFiles::visit(const CasterVisitor& visitor) {
     if (Status s = impl_->open(); !s) return s;
     for (const Group& group : impl_->groups) {
-        const Status s = group.source->visit(moved(group.settings.transform, visitor));
+        const Status s =
+            group.source->visit(moved(group.files.front().transform, visitor));
         if (!s) return s;
     }
     return {};

@@ -23,6 +23,7 @@ import unittest
 import xml.dom.minidom
 import zlib
 
+GOLDEN = pathlib.Path(__file__).resolve().parent.parent / "golden"
 TOOLS = {}  # "bake" -> path, filled by the command line
 NOBODY = 65534
 
@@ -68,16 +69,40 @@ def gltf_with_lights():
 
 OPTIONS = {
     "bake": """--output --light-shape --light-position --light-target --light-direction --light-up
-               --light-radius --light-size --light-angle --light-name --fov --near --far --resolution
-               --layers --bias --opacity --cull --include --exclude --codec --level --threads
-               --max-memory --quiet --json --version --help""",
+               --light-radius --light-size --light-angle --light-name --projection --fov --near --far
+               --resolution --subsamples --bias --cull --layers --tolerance --resets --color
+               --keep-hidden --opacity --include --exclude --hair-width --hair-tip-width --hair-opacity
+               --hair-scale --density-grid --density-scale --codec --level --threads --max-memory
+               --quiet --json --version --help""",
     "query": """--point --normal --points --rays --position --position-layer --normal-pass
                 --normal-layer --plane --size --no-normal --output --samples --seed --bias --threshold
-                --light-shape --light-position --light-radius --light-size --light-angle --method
+                --attenuation --light-shape --light-position --light-radius --light-size --light-angle --method
                 --quantity --weight --threads --max-memory --json --stats --quiet --version --help""",
     "dump": """--json --pixel --face --plot --output --image --channel --histogram --validate
                --max-memory --version --help""",
 }
+
+
+def hair(strands=3, points_per_strand=2, width=0.05, declared=None, declared_points=None, points=None):
+    """Cem Yuksel's .hair: strands along z above the floor, side by side; counts may lie."""
+    declared = strands if declared is None else declared
+    declared_points = strands * points_per_strand if declared_points is None else declared_points
+    if points is None:
+        points = [c for s in range(strands) for k in range(points_per_strand)
+                  for c in (0.2 * s - 0.2, 1.0, 2.0 * k / (points_per_strand - 1) - 1)]
+    head = b"HAIR" + struct.pack("<IIII", declared & 0xffffffff, declared_points & 0xffffffff, 2,
+                                 points_per_strand - 1)
+    head += struct.pack("<fffff", width, 0.0, 1, 1, 1) + bytes(88)
+    return head + struct.pack(f"<{len(points)}f", *points)
+
+
+def tfx(strands=2, points_per_strand=4, declared=None):
+    """AMD's TressFX 4: two strands of four points."""
+    declared = strands if declared is None else declared
+    head = struct.pack("<fIII", 4.0, declared, points_per_strand, 160) + bytes(144)
+    points = b"".join(struct.pack("<ffff", s, 1, k, 1) for s in range(strands)
+                      for k in range(points_per_strand))
+    return head + points
 
 
 def run(tool, *arguments, stdin=None, before=None, stdout=subprocess.PIPE):
@@ -170,8 +195,8 @@ def read_exr(path):
     return width, height, channels
 
 
-def read_grey_png(path):
-    """(width, height, rows) of an 8-bit grey PNG."""
+def read_png(path):
+    """(width, height, rows of bytes, bytes per pixel) of an 8-bit grey or RGB PNG."""
     data = pathlib.Path(path).read_bytes()
     assert data[:8] == b"\x89PNG\r\n\x1a\n"
     at, packed = 8, b""
@@ -180,22 +205,30 @@ def read_grey_png(path):
         body = data[at + 8:at + 8 + size]
         if kind == b"IHDR":
             width, height, depth, colour = struct.unpack_from(">IIBB", body)
-            assert (depth, colour) == (8, 0)
+            assert depth == 8
+            step = {0: 1, 2: 3}[colour]
         if kind == b"IDAT":
             packed += body
         at += size + 12
     raw = zlib.decompress(packed)
-    rows, above = [], [0] * width
+    size = width * step
+    rows, above = [], [0] * size
     for y in range(height):
-        filtering, *line = raw[y * (width + 1):(y + 1) * (width + 1)]
-        for x in range(width):
-            a, b = (line[x - 1] if x else 0), above[x]
-            c = above[x - 1] if x else 0
+        filtering, *line = raw[y * (size + 1):(y + 1) * (size + 1)]
+        for x in range(size):
+            a, b = (line[x - step] if x >= step else 0), above[x]
+            c = above[x - step] if x >= step else 0
             p = a + b - c
             paeth = min((abs(p - a), 0, a), (abs(p - b), 1, b), (abs(p - c), 2, c))[2]
             line[x] = (line[x] + (0, a, b, (a + b) // 2, paeth)[filtering]) & 255
         rows.append(line)
         above = line
+    return width, height, rows, step
+
+
+def read_grey_png(path):
+    width, height, rows, step = read_png(path)
+    assert step == 1
     return width, height, rows
 
 
@@ -366,6 +399,328 @@ class EveryTool(ToolTest):
                 self.fails(run(*command, stdout=full), 3, "standard output")
 
 
+JOB = """output = "a.mtsm"
+[light]
+radius = 0.3
+position = [0, 4, 0]
+[map]
+resolution = 64
+[[caster]]
+file = "scene.obj"
+exclude = "floor"
+"""
+
+
+class Job(ToolTest):
+    """Job files: what they may say, what wins, and what is wrong with them."""
+
+    def job(self, text, *arguments):
+        pathlib.Path("job.toml").write_text(text)
+        return run("bake", "job.toml", *arguments)
+
+    def wrong(self, text, code, *words):
+        self.fails(self.job(text), code, *words)
+        self.leaves("scene.obj", "job.toml")
+
+    def test_a_job_makes_the_map_that_its_command_line_makes(self):
+        self.good(self.job(JOB, "--quiet"))
+        self.good(run("bake", "scene.obj", "--exclude", "floor", "--light-radius", 0.3, "--light-position",
+                      "0,4,0", "--resolution", 64, "-o", "b.mtsm", "--quiet"))
+        a, b = (json.loads(run("dump", name, "--json").stdout) for name in ("a.mtsm", "b.mtsm"))
+        self.assertEqual(a["settings"], "mtsm-bake scene.obj {exclude = floor} --light-position 0,4,0 "
+                                        "--light-radius 0.3 --resolution 64")
+        for j in (a, b):
+            for key in ("settings", "file", "bytes", "blocks"):
+                del j[key]
+        self.assertEqual(a, b)
+
+    def test_the_command_line_wins(self):
+        self.good(self.job(JOB, "--resolution", "32x16", "-o", "b.mtsm", "--light-radius", "0.25",
+                           "--exclude", "square", "--quiet"))
+        self.leaves("scene.obj", "job.toml", "b.mtsm")
+        j = json.loads(run("dump", "b.mtsm", "--json").stdout)
+        self.assertEqual((j["width"], j["height"], j["light"]["radius"]), (32, 16, 0.25))
+        self.assertAlmostEqual(j["zRange"][1], 4 + j["projections"][0]["eye"][1] - 4, places=5)
+        self.good(self.job(JOB.replace("[map]", "target = [0, 0, 0]\n[map]"), "--light-direction", "0,-1,0"))
+
+    def test_every_option_of_the_help_is_a_key(self):
+        for option in OPTIONS["bake"].split():
+            key = option[2:]
+            if key in ("version", "help"):
+                continue
+            with self.subTest(key=key):
+                # Where it does not belong it is told where it does: so it is known.
+                table = "map" if key.startswith("light-") else "light"
+                self.wrong(f"[{table}]\n{key} = 1\n", 4, f'unknown key "{key}"', " belongs ")
+
+    def test_every_setting_is_understood(self):
+        self.good(self.job("""output = "sub/a.mtsm"
+            threads = 2
+            max-memory = "64M"
+            quiet = true
+            json = true
+            [light]
+            shape = "rect"
+            size = [1, 0.5]
+            position = [0, 4, 0]
+            direction = [0, -1, 0]
+            up = [0, 0, 1]
+            [map]
+            projection = "fit"
+            fov = 60
+            near = 0.5
+            far = 10.0
+            resolution = [64, 64]
+            subsamples = 1
+            bias = 0.1
+            cull = "none"
+            layers = 4
+            tolerance = 0.02
+            resets = 2
+            color = false
+            keep-hidden = true
+            codec = "zstd"
+            level = 5
+            [[caster]]
+            file = "scene.obj"
+            include = ["square", "floor"]
+            exclude = "floor"
+            opacity = 1.0
+            rotate = [0, 90, 0]
+            translate = [0, 0.5, 0]
+            scale = 0.5
+            """) if os.makedirs("sub") is None else None)
+        j = json.loads(run("dump", "sub/a.mtsm", "--json").stdout)
+        self.assertEqual((j["width"], j["light"]["shape"], j["light"]["size"]), (64, "rect", [1, 0.5]))
+        self.assertAlmostEqual(j["bias"], 0.1, places=6)
+        # The square of side 2 at height 1, halved and raised by 0.5, is 3 below the light.
+        back = j["projections"][0]["eye"][1] - 4
+        self.assertAlmostEqual(j["zRange"][0] - back, 3, places=5)
+        for word in ("--resets 2", "--tolerance 0.02", "--keep-hidden", "transform = ", "include = square"):
+            self.assertIn(word, j["settings"])
+
+    def test_casters_are_moved_one_by_one(self):
+        two = JOB + 'translate = [0, 1, 0]\n' + '[[caster]]\nfile = "scene.obj"\nexclude = "floor"\n' \
+            'transform = [1,0,0,5, 0,1,0,0, 0,0,1,0, 0,0,0,1]\n'
+        self.good(self.job(two, "--quiet", "--light-target", "0,0,0"))
+        for x, y in ((0, 1.5), (5, 0.5)):  # under either square
+            row, = csv.DictReader(io.StringIO(run("query", "a.mtsm", "--point", f"{x},{y},0").stdout))
+            self.assertEqual(float(row["shadow"]), 1, (x, y))
+        row, = csv.DictReader(io.StringIO(run("query", "a.mtsm", "--point", "0,2.5,0").stdout))
+        self.assertEqual(float(row["shadow"]), 0)
+
+    def test_paths_are_relative_to_the_job(self):
+        os.mkdir("jobs")
+        pathlib.Path("jobs/j.toml").write_text(JOB.replace('"scene.obj"', '"../scene.obj"'))
+        self.good(run("bake", "jobs/j.toml", "--quiet"))
+        self.assertEqual(sorted(os.listdir("jobs")), ["a.mtsm", "j.toml"])
+
+    def test_unknown_keys_get_a_suggestion(self):
+        for wrong, place, words in (
+                ('[map]\ntolerence = 0.1', "2:1", ['"tolerence" in [map]', 'did you mean "tolerance"?']),
+                ('[map]\nkeep_hidden = true', "2:1", ['did you mean "keep-hidden"?']),
+                ('tolerance = 0.1', "1:1", ['"tolerance" belongs in [map]']),
+                ('[light]\nlight-radius = 1', "2:1", ['did you mean "radius"?']),
+                ('[light]\ntolerance = 1', "2:1", ['"tolerance" belongs in [map]']),
+                ('[lights]\nradius = 1', "1:2", ['did you mean "light"?']),
+                ('[[casters]]\nfile = "a"', "1:3", ['did you mean "caster"?']),
+                ('[[caster]]\nfile = "scene.obj"\nhair-widht = 1', "3:1", ['did you mean "hair-width"?']),
+                ('[map]\nsupercalifragilistic = 1', "2:1", ["keys there are: ", "tolerance"])):
+            with self.subTest(wrong=wrong):
+                self.wrong(wrong + "\n", 4, f"job.toml:{place}: unknown key", *words)
+
+    def test_wrong_values_are_told_with_place_found_and_expected(self):
+        for wrong, place, words in (
+                ('[map]\nresolution = "big"', "2:14", ['text ("big")', "pixels, such as 1024"]),
+                ('[map]\nlayers = 2.5', "2:10", ["the number 2.5", "a whole number"]),
+                ('[map]\ntolerance = nan', "2:13", ["nan", "a finite number"]),
+                ('[map]\ncolor = 1', "2:9", ["the whole number 1", "true or false"]),
+                ('[map]\nresets = "some"\n' + JOB.replace("[map]", "[x]"), "", ["unknown key"]),
+                ('[light]\nposition = [1, 2]', "2:12", ["a list of 2 values", "three finite numbers"]),
+                ('[light]\nposition = 1979-05-27', "2:12", ["a date", "three finite numbers"]),
+                ('[light]\nshape = {a = 1}', "2:9", ["a table", "text"]),
+                ('map = 3', "1:7", ["the whole number 3", "[map]"]),
+                ('caster = "scene.obj"', "1:10", ["[[caster]]"]),
+                ('[[caster]]\nopacity = 1', "1:1", ["no file"]),
+                ('[[caster]]\nfile = "scene.obj"\ntransform = [1, 2, 3]', "3:13", ["16 finite numbers"]),
+                ('[[caster]]\nfile = "scene.obj"\nscale = 0', "1:1", ["scene.obj", "invertible"]),
+                ('[[caster]]\nfile = "scene.obj"\nopacity = 1.5', "1:1", ["opacity 1.5", "[0, 1]"]),
+                ('[[caster]]\nfile = "scene.obj"\ndensity-scale = 2', "1:1", ["density-scale", "a volume"]),
+                ('[[caster]]\nfile = "scene.obj"\nscale = 2\ntransform = [1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]',
+                 "4:13", ["exclude each other"]),
+                ('x = = 1', "1:5", ["is not TOML"]),
+                ('a = [[[[[[', "1:", ["is not TOML"]),
+                ('[map]\nlayers = 1\nlayers = 2', "3:", ["is not TOML"])):
+            with self.subTest(wrong=wrong):
+                self.wrong(wrong + "\n", 4, f"job.toml:{place}", *words)
+        # What the command line's own checks find has a place too.
+        self.wrong(JOB.replace("radius = 0.3", "radius = -1"), 4, "job.toml:3:1: light.radius", '"-1"',
+                   "at least 0")
+        self.wrong(JOB.replace("64", "64\nresets = \"some\""), 2, "--resets", '"some"')
+        self.wrong(JOB.replace("radius = 0.3", "target = [0, 0, 0]\ndirection = [0, -1, 0]"), 4,
+                   "exclude each other")
+
+    def test_what_is_missing_is_told(self):
+        self.wrong(JOB.replace("scene.obj", "none.obj"), 3, "job.toml:8:8", "none.obj")
+        self.wrong("", 4, "job.toml", "[[caster]]")
+        self.wrong(JOB.replace('output = "a.mtsm"', ""), 2, "-o", "required", "output = ")
+        self.fails(run("bake", "none.toml"), 3, "none.toml", "No such file")
+        self.fails(run("bake", "job.toml", "scene.obj", "-o", "a.mtsm"), 2, "give it alone")
+        os.mkdir("folder.toml")
+        self.fails(run("bake", "folder.toml"), 3, "folder.toml", "folder")
+
+    def test_hostile_jobs_are_bad_files(self):
+        nested = "a = " + "[" * 100000
+        for text in (nested, "\0" * 100, "a" * 100000, "a.b" * 3000 + " = 1", '"\x1b[2J" = 1',
+                     "x = " + "9" * 400, "[map]\nresolution = 99999999999999999999", "\ufeff[map"):
+            with self.subTest(text=text[:20]):
+                done = self.job(text)
+                self.fails(done, 4, "job.toml")
+                self.assertNotIn("\x1b", done.stderr)
+        pathlib.Path("job.toml").write_bytes(bytes(range(256)))
+        self.fails(run("bake", "job.toml"), 4, "job.toml")
+        with open("job.toml", "wb") as file:
+            file.truncate(1 << 33)  # sparse
+        self.fails(run("bake", "job.toml"), 4, "16 MiB")
+
+
+class Casters(ToolTest):
+    """Hair and volumes on the command line, whole and broken."""
+
+    def setUp(self):
+        super().setUp()
+        pathlib.Path("fur.hair").write_bytes(hair())
+
+    def bake(self, *arguments):
+        return run("bake", *arguments, *LIGHT, "--resolution", 64, "-o", "a.mtsm")
+
+    def test_hair_is_read_and_counted(self):
+        done = self.good(self.bake("fur.hair", "--hair-opacity", 0.5, "--json"))
+        j = json.loads(done.stdout)
+        self.assertEqual((j["casters"]["strands"], j["casters"]["segments"], j["casters"]["meshes"]),
+                         (3, 3, 0))
+        self.assertGreater(j["samples"], 0)
+        self.assertIn("3 strands, 3 segments", done.stderr)
+        done = self.good(self.bake("fur.hair", "scene.obj", "--exclude", "floor", "--hair-width", 0.1,
+                                   "--hair-tip-width", 0))
+        self.assertIn("1 mesh, 2 triangles; 3 strands, 3 segments", done.stderr)
+        pathlib.Path("fur.tfx").write_bytes(tfx())
+        self.assertIn("2 strands, 6 segments", self.good(self.bake("fur.tfx", "--hair-width", 0.1)).stderr)
+
+    def test_a_job_gives_each_hair_file_its_own_width(self):
+        pathlib.Path("job.toml").write_text("""[light]
+            radius = 0.3
+            position = [0, 4, 0]
+            [[caster]]
+            file = "fur.hair"
+            hair-width = 0.1
+            hair-opacity = 0.5
+            [[caster]]
+            file = "fur.hair"
+            translate = [0, -0.5, 0]
+            """)
+        self.good(run("bake", "job.toml", "-o", "a.mtsm", "--quiet"))
+        settings = json.loads(run("dump", "a.mtsm", "--json").stdout)["settings"]
+        self.assertIn("fur.hair {hair-width = 0.1", settings)
+        self.assertIn("fur.hair {transform = ", settings)
+
+    def test_a_volume_is_read_and_its_grid_can_be_named(self):
+        make = os.environ.get("MTSM_MAKE_SMOKE")
+        if not make:
+            self.skipTest("no generator of volumes was built")
+        subprocess.run([make, "--size", "16", "-o", "smoke.vdb"], check=True, stderr=subprocess.DEVNULL)
+        shadow = {}
+        for scale in (1, 0.1):
+            done = self.good(self.bake("smoke.vdb", "--density-scale", scale, "--json"))
+            j = json.loads(done.stdout)
+            self.assertEqual((j["casters"]["volumes"], j["casters"]["meshes"]), (1, 0))
+            self.assertGreater(j["casters"]["voxels"], 100)
+            self.assertIn("1 volume, ", done.stderr)
+            row, = csv.DictReader(io.StringIO(run("query", "a.mtsm", "--point", "0,0,0", "--samples", 1).stdout))
+            shadow[scale] = float(row["shadow"])
+        self.assertLess(shadow[0.1], shadow[1])
+        self.good(self.bake("smoke.vdb", "--density-grid", "density"))
+        self.fails(self.bake("smoke.vdb", "--density-grid", "heat"), 2, "smoke.vdb", '"heat"', "density")
+        self.fails(self.bake("smoke.vdb", "--hair-width", 1), 2, "none of the inputs is hair")
+        data = pathlib.Path("smoke.vdb").read_bytes()
+        for cut in (100, len(data) // 2, len(data) - 10):
+            pathlib.Path("cut.vdb").write_bytes(data[:cut])
+            self.fails(self.bake("cut.vdb"), 4, "cut.vdb")
+
+    def test_six_faces_make_one_map(self):
+        done = self.good(run("bake", "scene.obj", "--light-shape", "point", "--light-position", "0,2,0",
+                             "--projection", "cube", "--resolution", 32, "-o", "a.mtsm", "--json"))
+        self.assertEqual(json.loads(done.stdout)["faces"], 6)
+        rows = csv.DictReader(io.StringIO(run("query", "a.mtsm", "--point", "0.1,0.5,0.1", "--point",
+                                              "3,1.5,0.1").stdout))
+        self.assertEqual([float(row["shadow"]) for row in rows], [1, 0])
+
+    def test_options_of_a_kind_need_an_input_of_that_kind(self):
+        for option in ("--opacity", "--include", "--exclude", "--density-scale", "--density-grid"):
+            self.fails(self.bake("fur.hair", option, "1"), 2, option, "none of the inputs")
+        pathlib.Path("a.ply").write_text("ply\n")
+        for option in ("--hair-width", "--hair-scale", "--hair-opacity"):
+            self.fails(self.bake("a.ply", option, "1"), 2, option, "none of the inputs is hair")
+        self.fails(self.bake("fur.hair", "--hair-tip-width", 1), 2, "hair-tip-width needs hair-width")
+        self.fails(self.bake("fur.hair", "--hair-scale", 0), 2, "hair-scale")
+
+    def test_hostile_files_are_one_line_and_keep_the_old_map(self):
+        pathlib.Path("a.mtsm").write_text("the old map")
+        nan, huge = math.nan, 10**12
+        hostile = {
+            "cut.hair": hair()[:100], "empty.hair": b"", "text.hair": b"this is no hair at all" * 20,
+            "short.hair": hair()[:-4], "many.hair": hair(declared=huge, declared_points=huge),
+            "most.hair": hair(declared=2**32 - 1, declared_points=2**32 - 1),
+            "wrong.hair": hair(declared_points=5), "negative.hair": hair(width=-1),
+            "width.hair": hair(width=nan), "nan.hair": hair(points=[nan] * 18),
+            "cut.tfx": tfx()[:50], "empty.tfx": b"", "many.tfx": tfx(declared=2**31 - 1),
+            "cut2.tfx": tfx()[:-8],
+            "empty.vdb": b"", "text.vdb": b"this is no volume" * 100,
+            "magic.vdb": b" BDV\0\0\0\0" + bytes(20), "noise.vdb": b" BDV\0\0\0\0" + bytes(range(256)) * 9}
+        for name, data in hostile.items():
+            with self.subTest(name=name):
+                pathlib.Path(name).write_bytes(data)
+                self.fails(self.bake(name), 4, name if name != "nan.hair" else "")
+                self.assertEqual(pathlib.Path("a.mtsm").read_text(), "the old map")
+        self.leaves("scene.obj", "fur.hair", "a.mtsm", *hostile)
+        self.fails(self.bake("none.vdb"), 3, "none.vdb")
+        self.fails(self.bake("none.hair"), 3, "none.hair")
+        self.fails(self.bake("none.obj"), 3, "none.obj")
+
+    def test_six_faces_exclude_what_has_no_meaning_for_them(self):
+        cube = ["scene.obj", "--projection", "cube"]
+        self.fails(self.bake(*cube, "--fov", 60), 2, "--fov", "cube")
+        self.fails(run("bake", *cube, *LIGHT, "--resolution", "64x32", "-o", "a.mtsm"), 2, "--resolution",
+                   "square")
+        self.fails(run("bake", *cube, "--light-angle", 1, "--light-direction", "0,-1,0", "-o", "a.mtsm"), 2,
+                   "--projection", "sun")
+
+    def test_the_summary_says_what_the_settings_lost(self):
+        layers = "".join(f"v {x} {y} {z}\n" for y in (0.2, 0.4, 0.6, 0.8)
+                         for x, z in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
+        faces = "".join(f"f {i} {i + 1} {i + 2} {i + 3}\n" for i in (1, 5, 9, 13))
+        pathlib.Path("sheets.obj").write_text(layers + faces)
+        j = json.loads(self.good(self.bake("sheets.obj", "--layers", 3, "--json")).stdout)
+        self.assertEqual(j["maxLayers"], 3)
+        self.assertGreater(j["samples"], 0)
+        self.assertGreater(j["droppedByLayers"] + j["droppedHidden"], 0)
+        done = self.good(self.bake("sheets.obj", "--opacity", 0.5, "--tolerance", 0, "--json"))
+        j = json.loads(done.stdout)
+        self.assertEqual((j["toleranceAsked"], j["toleranceReached"], j["droppedByLayers"]), (0, 0, 0))
+        self.assertEqual(j["layers"], j["samples"])
+        self.assertGreater(j["peakMemory"], 1 << 20)
+        for word in ("tolerance 0, reached 0", "in 1 pass", "dropped nothing", "of memory"):
+            self.assertIn(word, done.stderr)
+        row, = csv.DictReader(io.StringIO(run("query", "a.mtsm", "--point", "0,0,0").stdout))
+        self.assertAlmostEqual(float(row["shadow"]), 1 - 0.5 ** 4, places=5)
+        row, = csv.DictReader(io.StringIO(run("query", "a.mtsm", "--point", "0,0,0", "--attenuation",
+                                              "subtract").stdout))
+        self.assertAlmostEqual(float(row["shadow"]), 1 - 0.5 ** 4, places=5)
+        j = json.loads(run("dump", "a.mtsm", "--json").stdout)
+        self.assertEqual((j["opaqueTiles"], j["translucentTiles"], j["layerSamples"]),
+                         (0, j["tiles"] - j["emptyTiles"], j["samples"]))
+
+
 class Bake(ToolTest):
     def bake(self, *arguments, **more):
         return run("bake", "scene.obj", "-o", "a.mtsm", *arguments, **more)
@@ -415,7 +770,11 @@ class Bake(ToolTest):
 
     def test_resolution_and_other_numbers_are_checked(self):
         for option, value in (("--resolution", "0"), ("--resolution", "0x16"), ("--resolution", "40000"),
-                              ("--resolution", "1x2x3"), ("--layers", "0"), ("--layers", "65"),
+                              ("--resolution", "1x2x3"), ("--layers", "0"), ("--layers", "2000000"), ("--tolerance", "1.5"),
+                              ("--tolerance", "nan"), ("--resets", "-1"), ("--resets", "some"), ("--subsamples", "0"),
+                              ("--subsamples", "9"), ("--projection", "globe"), ("--hair-width", "-1"),
+                              ("--hair-opacity", "2"), ("--hair-scale", "nan"), ("--density-scale", "-1"),
+                             
                               ("--opacity", "1.5"), ("--opacity", "nan"), ("--bias", "-1"),
                               ("--level", "20"), ("--fov", "180"), ("--fov", "0"), ("--near", "inf"),
                               ("--cull", "sideways"), ("--codec", "rar"), ("--max-memory", "lots"),
@@ -684,6 +1043,46 @@ class Query(ToolTest):
         self.fails(run("query", "key.mtsm", "--points", "-", "--json", stdin=many), 2, "10 000")
         self.assertEqual(self.good(run("query", "key.mtsm", "--point", "0,0,0")).stderr, "")
 
+    def test_a_map_with_three_channels_answers_in_colour(self):
+        path = GOLDEN / "three_channels.mtsm"
+        j = json.loads(run("dump", path, "--json").stdout)
+        p = j["projections"][0]
+        at = lambda x, y, z: [p["eye"][k] + x * p["right"][k] + y * p["up"][k] + z * p["forward"][k]
+                              for k in range(3)]
+        z = 1.5 * j["zRange"][1]  # a plane behind all layers, across the window
+        corner = at(*((edge - p["offset"][k]) / p["scale"][k] * (z if p["kind"] == "perspective" else 1)
+                      for k, edge in ((0, 0), (1, j["height"]))), z)
+        u = [c * j["width"] / p["scale"][0] * z for c in p["right"]]
+        v = [-c * j["height"] / p["scale"][1] * z for c in p["up"]]
+        plane = ["--plane", ",".join(map(repr, corner + u + v)), "--size", "16x8", "--no-normal",
+                 "--samples", 4]
+        self.good(run("query", path, *plane, "-o", "a.exr"))
+        width, height, channels = read_exr("a.exr")
+        self.assertEqual(sorted(channels),
+                         ["B", "G", "R", "visibility.B", "visibility.G", "visibility.R"])
+        self.assertNotEqual(channels["R"], channels["B"])
+        for c in "RGB":
+            for shadow, visibility in zip(channels[c], channels["visibility." + c]):
+                self.assertAlmostEqual(shadow + visibility, 1, places=6)
+        self.good(run("query", path, *plane, "-o", "a.csv"))
+        rows = list(csv.DictReader(pathlib.Path("a.csv").read_text().splitlines()))
+        for c in "rgb":
+            for row, s in zip(rows, channels[c.upper()]):
+                self.assertAlmostEqual(float(row["shadow_" + c]), s, places=7)
+        self.good(run("query", path, *plane, "-o", "a.png", "--quantity", "shadow"))
+        w, h, pixels, step = read_png("a.png")
+        self.assertEqual((w, h, step), (16, 8, 3))
+        self.assertEqual([v for row in pixels for v in row[2::3]],
+                         [int(math.floor(255 * s + 0.5)) for s in channels["B"]])
+        point = ",".join(rows[70][c] for c in "xyz")
+        done = self.good(run("query", path, "--point", point, "--samples", 4, "--json", "--quantity",
+                             "visibility"))
+        value, = json.loads(done.stdout)["values"]
+        self.assertEqual(len(value["visibility"]), 3)
+        ray = "ox,oy,oz,dx,dy,dz\n" + point + "," + ",".join(repr(-c) for c in p["forward"]) + "\n"
+        row, = csv.DictReader(io.StringIO(self.good(run("query", path, "--rays", "-", stdin=ray)).stdout))
+        self.assertIn("visibility_r", row)
+
     def test_the_answer_does_not_depend_on_threads(self):
         plane = ["--plane", "-2,0,2,4,0,0,0,0,-4", "--size", 32]
         for threads in (1, 2, 8):
@@ -807,6 +1206,47 @@ class Dump(ToolTest):
         self.fails(run("dump", "cut.mtsm"), 4, "cut.mtsm")
         self.fails(run("query", "cut.mtsm", "--point", "0,0,0"), 4, "cut.mtsm")
         self.fails(run("dump", "scene.obj", "--validate"), 4, "scene.obj")
+
+    def test_bytes_are_told_by_plane_and_what_was_left_out(self):
+        j = json.loads(self.good(run("dump", "key.mtsm", "--json")).stdout)
+        planes = {p["name"]: p for p in j["planes"]}
+        self.assertEqual(set(planes), {"counts", "z", "v", "n"})
+        self.assertEqual((planes["v"]["planes"], planes["v"]["leftOut"]), (0, j["opaqueTiles"]))
+        self.assertEqual(planes["v"]["leftOutBytes"], 4 * j["layers"])
+        self.assertEqual(planes["z"]["decodedBytes"], 4 * j["layers"])
+        self.assertEqual(planes["counts"]["leftOut"], j["emptyTiles"])
+        self.assertEqual(j["translucentTiles"], 0)
+        text = self.good(run("dump", "key.mtsm")).stdout
+        for word in ("plane v", "left out of", "where it would take", "translucent"):
+            self.assertIn(word, text)
+
+    def test_three_channels_are_shown_as_three(self):
+        path = GOLDEN / "three_channels.mtsm"
+        self.assertIn("3 channels", self.good(run("dump", path)).stdout)
+        j = json.loads(run("dump", path, "--json").stdout)
+        self.good(run("dump", path, "--image", "a.exr", "--channel", "visibility"))
+        width, height, channels = read_exr("a.exr")
+        self.assertEqual(sorted(channels), ["B", "G", "R", "visibility"])
+        for r, g, b, mean in zip(*(channels[n] for n in ("R", "G", "B", "visibility"))):
+            self.assertAlmostEqual((r + g + b) / 3, mean, places=6)
+        self.good(run("dump", path, "--image", "a.png", "--channel", "visibility"))
+        w, h, rows, step = read_png("a.png")
+        self.assertEqual((w, h, step), (j["width"], j["height"], 3))
+        for at, name in enumerate("RGB"):
+            self.assertEqual([v for row in rows for v in row[at::3]],
+                             [int(math.floor(255 * v + 0.5)) for v in channels[name]])
+        deepest = max(range(len(channels["R"])), key=lambda i: 1 - channels["R"][i])
+        text = self.good(run("dump", path, "--pixel", f"{deepest % width},{deepest // width}")).stdout
+        self.assertIn("v red", text)
+        self.assertIn("v blue", text)
+
+    def test_each_of_six_faces_can_be_shown(self):
+        path = GOLDEN / "six_faces.mtsm"
+        for face in range(6):
+            self.assertIn(f"face {face}: ",
+                          self.good(run("dump", path, "--pixel", "0,0", "--face", face)).stdout)
+            self.good(run("dump", path, "--image", "a.exr", "--face", face))
+        self.fails(run("dump", path, "--pixel", "0,0", "--face", 6), 2, "--face")
 
     def test_a_newer_major_version_is_unsupported(self):
         newer = bytearray(pathlib.Path("key.mtsm").read_bytes())

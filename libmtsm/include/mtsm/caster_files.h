@@ -43,15 +43,13 @@ struct CasterFile {
     std::optional<float> opacity;
     std::vector<std::string> include, exclude;
 
-    // Strands.
-    std::optional<float> hairWidth;  ///< of all strands, at the root; file's units, >= 0
-    std::optional<float> hairTipWidth;  ///< at the tip; without: as the file has it
-    std::optional<float> hairOpacity;   ///< of all strands, in [0, 1]
-    float hairScale = 1.0f;             ///< of all widths, > 0
+    // Strands: see HairFileOptions.
+    std::optional<float> hairWidth, hairTipWidth, hairOpacity;
+    float hairScale = 1.0f;
 
-    // Volumes.
-    std::string densityGrid;    ///< name of the grid; empty: the file's density
-    float densityScale = 1.0f;  ///< extinction per unit of density and world unit, >= 0
+    // Volumes: see VolumeFileOptions.
+    std::string densityGrid;
+    float densityScale = 1.0f;
 };
 
 /// Refuses (badArgument; the message names file and setting) what visit() would refuse
