@@ -9,12 +9,9 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <array>
-#include <cerrno>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
-#include <cstring>
-#include <filesystem>
 #include <glm/common.hpp>
 #include <glm/geometric.hpp>
 #include <glm/gtc/constants.hpp>
@@ -22,6 +19,8 @@
 #include <limits>
 #include <string>
 #include <vector>
+
+#include "write_file.h"
 
 namespace {
 
@@ -263,22 +262,6 @@ std::vector<std::uint8_t> encodeGlb(const std::vector<NamedMesh>& meshes) {
     return file;
 }
 
-/// Empty, or the reason why `path` could not be written; then no part of it stays.
-std::string writeFile(const std::string& path, const std::vector<std::uint8_t>& bytes) {
-    std::FILE* file = std::fopen(path.c_str(), "wb");
-    if (!file) return std::strerror(errno);
-    errno = 0;
-    const bool written = std::fwrite(bytes.data(), 1, bytes.size(), file) == bytes.size();
-    int reason = errno;
-    const bool closed = std::fclose(file) == 0;
-    if (written && closed) return {};
-    if (written) reason = errno;
-    std::error_code ignored;
-    if (std::filesystem::is_regular_file(path, ignored))
-        std::filesystem::remove(path, ignored);
-    return std::strerror(reason);
-}
-
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -304,8 +287,9 @@ int main(int argc, char** argv) {
     }
 
     const Mesh body = makeBody(triangles), floor = makeFloor();
+    const auto glb = encodeGlb({{"body", body}, {"floor", floor}});
     const std::string problem =
-        writeFile(output, encodeGlb({{"body", body}, {"floor", floor}}));
+        writeFile(output, {reinterpret_cast<const char*>(glb.data()), glb.size()});
     if (!problem.empty()) {
         std::fprintf(stderr, "mtsm-make-bumpy: %s: cannot be written: %s\n",
                      output.c_str(), problem.c_str());

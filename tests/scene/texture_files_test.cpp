@@ -503,12 +503,9 @@ TEST_CASE("a broken image is a warning", "[scene][texture][bad-input]") {
                                  flipped,
                                  test::pngHeader(65000, 65000, 4),
                                  test::pngHeader(65000, 2, 1),
-                                 test::pngHeader(0, 0, 4),
-                                 test::pngHeader(16384, 16384, 4)};
-    MeshFileOptions options;
-    options.importerBytes = std::uint64_t(2) << 30;
+                                 test::pngHeader(0, 0, 4)};
     for (const std::string& image : cases) {
-        const Loaded loaded = loadObj("d 0.5\nmap_d a.png\n", image, options);
+        const Loaded loaded = loadObj("d 0.5\nmap_d a.png\n", image);
         INFO(image.size() << " bytes: " << loaded.seen.error());
         REQUIRE(loaded.seen.status);
         CHECK(!loaded.mesh().texture);
@@ -530,8 +527,9 @@ TEST_CASE("an image that takes more memory than there may be is an error",
     }
     MeshFileOptions options;
     options.importerBytes = std::uint64_t(64) << 20;
-    const Loaded loaded =
-        loadObj("map_d a.png\n", test::pngHeader(16384, 16384, 4), options);
+    const Loaded loaded = loadObj(
+        "map_d a.png\n",
+        test::pngHeader(16384, 16384, 1) + test::pngChunk("IDAT\x78\x01"), options);
     REQUIRE(!loaded.seen.status);
     CHECK(loaded.seen.status.error().code == ErrorCode::tooLarge);
 }
