@@ -22,7 +22,7 @@ namespace {
 
 constexpr int kMostProbes = 8;
 // A footprint of more texels than this may as well be the whole texture.
-constexpr double kWholeTexture = 1e12;
+constexpr float kWholeTexture = 1e12f;
 // A bilinear lookup in a level of texel size s weighs as a tent over boxes: its variance
 // is s^2/12 + s^2/6 on average, that of a box 3^(1/2) times as wide. So the level for a
 // footprint of w texels is log2(w) less half of log2(3).
@@ -89,29 +89,32 @@ struct Between {
     return found;
 }
 
-/// Sides of the box that stands in for the footprint, and the direction of its long one.
-struct Box {
-    double major = 0, minor = 0;
-    glm::dvec2 direction{1, 0};  // unit, texels
-};
+/// The box that stands in for a footprint with sides a and b, in texels. In float: this
+/// is a good part of a lookup's time, and a footprint need not be known to more digits.
+class Box {
+  public:
+    Box(glm::vec2 a, glm::vec2 b)
+        : p_(a.x * a.x + b.x * b.x),
+          q_(a.x * a.y + b.x * b.y),
+          r_(a.y * a.y + b.y * b.y) {
+        spread_ = std::sqrt(0.25f * (p_ - r_) * (p_ - r_) + q_ * q_);
+        major = std::sqrt(0.5f * (p_ + r_) + spread_);
+        // The determinant loses little to cancellation where the box is thin.
+        minor = major > 0 ? std::abs(a.x * b.y - a.y * b.x) / major : 0.0f;
+    }
+    /// Unit vector along the long side.
+    [[nodiscard]] glm::vec2 direction() const {
+        const glm::vec2 axis = p_ > r_ ? glm::vec2(0.5f * (p_ - r_) + spread_, q_)
+                                       : glm::vec2(q_, 0.5f * (r_ - p_) + spread_);
+        const float length = std::sqrt(axis.x * axis.x + axis.y * axis.y);
+        return length > 0 ? axis / length : glm::vec2(1, 0);
+    }
+    float major, minor;
 
-Box boxOf(glm::dvec2 a, glm::dvec2 b) {
-    // Second moments of the parallelogram, but for a factor: p q; q r.
-    const double p = a.x * a.x + b.x * b.x;
-    const double q = a.x * a.y + b.x * b.y;
-    const double r = a.y * a.y + b.y * b.y;
-    const double mean = 0.5 * (p + r);
-    const double spread = std::sqrt(0.25 * (p - r) * (p - r) + q * q);
-    Box box;
-    box.major = std::sqrt(mean + spread);
-    // The determinant loses nothing to cancellation where the box is thin.
-    box.minor = box.major > 0 ? std::abs(a.x * b.y - a.y * b.x) / box.major : 0.0;
-    const glm::dvec2 axis = p > r ? glm::dvec2(0.5 * (p - r) + spread, q)
-                                  : glm::dvec2(q, 0.5 * (r - p) + spread);
-    const double length = std::sqrt(axis.x * axis.x + axis.y * axis.y);
-    if (length > 0) box.direction = axis / length;
-    return box;
-}
+  private:
+    float p_, q_, r_;  // second moments, but for a factor: p q; q r
+    float spread_;
+};
 
 /// The footprint is as large as the texture and reaches across it both ways.
 bool coversAll(glm::dvec2 du, glm::dvec2 dv) {
@@ -231,28 +234,28 @@ void OpacityTexture::addLevel(const Probe& probe, std::size_t index, float weigh
 template <int C>
 void OpacityTexture::lookUp(glm::dvec2 uv, glm::dvec2 du, glm::dvec2 dv,
                             float* out) const noexcept {
-    const auto coarsest = std::uint32_t(levels_.size() - 1);
     float sum[C] = {};
     // Rows run down, v runs up.
     const glm::dvec2 at(uv.x, 1.0 - uv.y);
     const glm::dvec2 size(levels_[0].width, -double(levels_[0].height));
-    const Box box = boxOf(du * size, dv * size);
-    if (!(box.major < kWholeTexture) || coversAll(du, dv)) {
-        std::copy_n(levels_[coarsest].texels.data(), C, sum);
-    } else if (box.major <= 1.0) {
+    const Box box(glm::vec2(du * size), glm::vec2(dv * size));
+    if (box.major <= 1.0f) {
         const Probe probe{wrapped(at.x, wrapU_), wrapped(at.y, wrapV_),
                           !original_.empty()};
         addLevel<C>(probe, 0, 1.0f, sum);
+    } else if (!(box.major < kWholeTexture) || coversAll(du, dv)) {
+        std::copy_n(levels_.back().texels.data(), C, sum);
     } else {
-        const double thin = std::max({box.minor, 1.0, box.major / kMostProbes});
-        const int probes = std::min(kMostProbes, int(box.major / thin + 0.5));
-        const float width = std::max(float(thin), float(box.major / probes));
-        const float level =
-            std::clamp(std::log2(width) - kLevelOffset, 0.0f, float(coarsest));
+        const float thin = std::max({box.minor, 1.0f, box.major / kMostProbes});
+        const int probes = std::min(kMostProbes, int(box.major / thin + 0.5f));
+        const float spacing = box.major / float(probes);
+        const float level = std::clamp(std::log2(std::max(thin, spacing)) - kLevelOffset,
+                                       0.0f, float(levels_.size() - 1));
         const auto fine = std::uint32_t(level);
         const float t = level - float(fine), share = 1.0f / float(probes);
-        const glm::dvec2 step =
-            box.direction * (box.major / probes) / glm::dvec2(size.x, -size.y);
+        const glm::dvec2 step = probes > 1 ? glm::dvec2(spacing * box.direction()) /
+                                                 glm::dvec2(size.x, -size.y)
+                                           : glm::dvec2(0.0);
         for (int i = 0; i < probes; ++i) {
             const glm::dvec2 there = at + step * (i - 0.5 * (probes - 1));
             const Probe probe{wrapped(there.x, wrapU_), wrapped(there.y, wrapV_), false};

@@ -108,7 +108,7 @@ void Materials::castConstant(unsigned material) {
     CastMaterial& cast = cast_[material];
     cast.opacity = stated.cut(stated.value);
     if (stated.cutoff >= 0.0f) cast.opacity *= options_.opacity.value_or(1.0f);
-    if (options_.color) cast.tint = stated.tint;
+    if (options_.color && cast.opacity < 1.0f) cast.tint = stated.tint;
 }
 
 void Materials::use(const aiMesh& mesh) {

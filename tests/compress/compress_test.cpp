@@ -294,6 +294,7 @@ TEST_CASE("V' is what a centre ray reads from the map", "[compress][twin]") {
               const CompressReport&) {
         if (options.channels != 1 || options.tolerance < 0.01f) return;
         const Steps reader = visibility(layers, 1);
+        const MapInfo info;
         const PixelLayers read{std::uint32_t(layers.size()), layers.z.data(),
                                layers.v[0].data(), 0, layers.n.data()};
         for (const Sample& s : pixel) {
@@ -301,7 +302,7 @@ TEST_CASE("V' is what a centre ray reads from the map", "[compress][twin]") {
             trace::PixelCrossing crossing;
             // Behind the sample, and behind where rounding may put a count's sample.
             crossing.zExit = double(s.z) * (1.0 + 1e-12);
-            const bool dark = attenuate(read, 1, crossing, {}, state);
+            const bool dark = attenuate(read, info, crossing, {}, state);
             if (dark) break;  // V' starts again, rays do not
             REQUIRE(state.visible[0] ==
                     Approx(reader.at(crossing.zExit)[0]).epsilon(1e-9));

@@ -4,6 +4,8 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "scene_fixture.h"
 
@@ -61,6 +63,51 @@ TEST_CASE("real instances are all there and glass is not opaque", "[scene][data]
 TEST_CASE("real COLLADA materials are opaque", "[scene][data]") {
     checkFile("thin/tower_crane/tower_crane.dae", 8735);
     checkFile("foliage/oak_tree/meshes/oak_tree.dae", 948);
+}
+
+TEST_CASE("real foliage has the holes that its images have", "[scene][texture][data]") {
+    // Means of the alpha channels, as other tools give them.
+    const auto textureMeans = [](const std::string& name, MeshFileOptions options = {}) {
+        std::vector<float> means;
+        const auto path = dataFile(name);
+        if (!path) return means;
+        for (const auto& mesh : test::seeFile(*path, std::move(options)).meshes) {
+            if (!mesh.texture) continue;
+            float mean = -1;
+            mesh.texture->opacity({0.5, 0.5}, {1, 0}, {0, 1}, &mean);
+            means.push_back(mean);
+        }
+        return means;
+    };
+    const auto check = [](const std::vector<float>& means,
+                          const std::vector<double>& expected) {
+        if (means.empty()) return;  // skipped
+        REQUIRE(means.size() == expected.size());
+        for (std::size_t i = 0; i < means.size(); ++i)
+            CHECK(double(means[i]) == Approx(expected[i]).margin(1e-5));
+    };
+    check(textureMeans("foliage/scatter_tree/scatter_tree.obj"), {0.338354});
+    check(textureMeans("foliage/tree1b/tree1b_lod0_1.obj"), {0.41112});
+    check(textureMeans("foliage/tree1b/tree1b_lod0_2.obj"), {});
+    // The oak's COLLADA file names no image: an Ogre script beside it does.
+    const auto branch =
+        dataFile("foliage/oak_tree/materials/textures/branch_diffuse.png");
+    MeshFileOptions options;
+    if (branch) options.textures = {{"Branch*", *branch}};
+    check(textureMeans("foliage/oak_tree/meshes/oak_tree.dae", options), {0.26218});
+}
+
+TEST_CASE("a real ship that declares a mask but has no alpha is whole",
+          "[scene][texture][data]") {
+    const auto path = dataFile("thin/dutch_ship_medium/dutch_ship_medium_1k.gltf");
+    if (!path) return;
+    std::vector<std::string> warnings;
+    for (const auto& mesh : test::seeFile(*path, warnings).meshes) {
+        CHECK(!mesh.texture);
+        CHECK(mesh.opacity == 1.0f);
+    }
+    REQUIRE(warnings.size() == 1);
+    CHECK(test::contains(warnings[0], "dutch_ship_medium_sails"));
 }
 
 TEST_CASE("real lights of glTF files are read", "[scene][data]") {
