@@ -149,7 +149,7 @@ TEST_CASE("a receiver among media is darkened by what is a footprint away, not b
 TEST_CASE("deep filtered lookup gives exp(-s d) in a homogeneous slab, compressed or not",
           "[shadow][exact]") {
     const double s = 0.6;
-    const int samples = 4096;
+    const int samples = 512;
     for (const Translucent rule : {Translucent::sheets, Translucent::media}) {
         for (const int layers : {samples, 128}) {
             const ShadowMap map = mapWith(rule, fog(s, samples, layers));

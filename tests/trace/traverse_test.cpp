@@ -76,7 +76,7 @@ TEST_CASE("a traced ray meets what a walk over all pixels meets", "[trace][exact
                             : test::cubeProjections(side);
             ShadowMap map = mapOf(info, views, layers);
             if (opaque && view % 2) map = withoutImpliedPlanes(map);
-            for (int i = 0; i < 2000; ++i) {
+            for (int i = 0; i < 800; ++i) {
                 Ray ray;
                 // World -z is light +z: depths 1..12 and a light near the eye. Six faces
                 // are crossed every which way.
