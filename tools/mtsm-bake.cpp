@@ -573,9 +573,8 @@ void sayWhatWasKept(Talk& talk, const Baked& baked) {
                 {r.droppedHidden, "layers that no point of the light sees"}});
     talk.say("kept " + countText(baked.map.layerCount()) + " layers; dropped " +
              (dropped.empty() ? "nothing" : dropped) + "; tolerance " +
-             numberText(double(info.toleranceAsked)) + ", reached " +
-             numberText(double(info.toleranceReached)) + ", in " +
-             secondsText(r.compressSeconds));
+             shortText(info.toleranceAsked) + ", reached " +
+             shortText(info.toleranceReached) + ", in " + secondsText(r.compressSeconds));
     if (r.pixelsOverTolerance)
         talk.warn("in " + counted(r.pixelsOverTolerance, "pixel", "pixels") +
                   " the limit of " + std::to_string(info.maxLayers) +

@@ -266,8 +266,8 @@ void contentRows(Rows& rows, const MapInfo& info, const Description& d) {
     rows.row("depths", d.z.empty() ? "none: the map is empty"
                                    : numberText(d.z.min) + " to " + numberText(d.z.max) +
                                          " world units");
-    rows.row("tolerance", numberText(info.toleranceAsked) + " asked for, " +
-                              numberText(info.toleranceReached) + " reached");
+    rows.row("tolerance", shortText(info.toleranceAsked) + " asked for, " +
+                              shortText(info.toleranceReached) + " reached");
     rows.row("resets",
              info.resets == kAllResets ? "any number" : std::to_string(info.resets));
     rows.row("empty pixels", share(d.emptyPixels, d.pixels));

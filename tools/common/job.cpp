@@ -594,7 +594,7 @@ std::string casterText(const CasterFile& c) {
         list += (list.empty() ? "" : ", ") + key + " = " + value;
     };
     const auto addNumber = [&](const char* key, std::optional<float> value) {
-        if (value) add(key, numberText(double(*value)));
+        if (value) add(key, shortText(*value));
     };
     const auto addAll = [&](const char* key, const std::vector<std::string>& globs) {
         for (const std::string& glob : globs)

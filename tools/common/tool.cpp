@@ -163,6 +163,10 @@ std::string numberText(double value) {
     return format("%.9g", value);
 }
 
+std::string shortText(float value) {
+    return format("%.6g", double(value));
+}
+
 std::string tripleText(const glm::dvec3& value) {
     return numberText(value.x) + ", " + numberText(value.y) + ", " + numberText(value.z);
 }

@@ -63,6 +63,7 @@ void print(const std::string& text);
 [[nodiscard]] std::string countText(std::uint64_t count);  ///< "1 234 567"
 [[nodiscard]] std::string secondsText(double seconds);     ///< "0.41 s"
 [[nodiscard]] std::string numberText(double value);        ///< shortest, up to 9 digits
+[[nodiscard]] std::string shortText(float value);          ///< shortest, up to 6 digits
 [[nodiscard]] std::string tripleText(const glm::dvec3& value);  ///< "1, 2, 3"
 
 /// A light as --json prints it: only what its shape uses, angles in degrees.
