@@ -117,6 +117,7 @@ TEST_CASE("stacked sheets become layers with the products of their opacities",
     BakeOptions o = lamp();
     o.light.position.y = 10;
     o.light.shape = LightShape::point;
+    o.keepHidden = true;
     const Baked b = mustBake(casters, o);
     const PixelLayers p = b.map.pixel(0, 30, 33);
     REQUIRE(p.count == 4);
@@ -150,6 +151,7 @@ TEST_CASE("culling follows the face, mirrored objects included", "[bake]") {
     const auto depths = [](const Mesh& a, const Mesh& b, Cull cull) {
         BakeOptions o = lamp();
         o.light.shape = LightShape::point;
+        o.keepHidden = true;
         o.cull = cull;
         Casters casters({a, b});
         const Baked baked = mustBake(casters, o);

@@ -199,8 +199,9 @@ TEST_CASE("a progress callback hears of every stage and can stop each", "[bake]"
     };
     Casters casters({square()});
     REQUIRE(bake(casters, o));
-    CHECK(stages ==
-          std::vector<std::string>{"reading casters", "rasterising", "building map"});
+    CHECK(stages == std::vector<std::string>{"reading casters", "rasterising",
+                                             "building map",
+                                             "dropping what no light sees"});
     for (const std::string& stop : stages) {
         o.progress = [&](const char* stage, double) { return stop != stage; };
         const auto baked = bake(casters, o);

@@ -299,3 +299,67 @@ TEST_CASE("colour is kept when it is asked for", "[bake][exact]") {
         CHECK(layers.v[std::size_t(c) * layers.vStride] == Approx(expected));
     }
 }
+
+TEST_CASE("what no point of the light sees is dropped and counted, and no shadow changes",
+          "[bake]") {
+    Casters casters({sheet(0.0f, 1.5f, 1.0f), sheet(1.0f, 1.5f, 1.0f)});
+    BakeOptions o = above();
+    BakeReport dropped, kept;
+    const ShadowMap without = mustBake(casters, o, &dropped);
+    o.keepHidden = true;
+    const ShadowMap with = mustBake(casters, o, &kept);
+    CHECK(kept.droppedHidden == 0);
+    CHECK(dropped.droppedHidden > 0);
+    CHECK(with.layerCount() - without.layerCount() == dropped.droppedHidden);
+    const auto& attributes = without.info().attributes;
+    REQUIRE(attributes.size() == 1);
+    CHECK(attributes[0].name == "hiddenLayers");
+    CHECK(std::get<std::int64_t>(attributes[0].value) ==
+          std::int64_t(dropped.droppedHidden));
+    Random random(11);
+    for (int i = 0; i < 300; ++i) {
+        const glm::dvec3 point(random.in(-3, 3), random.in(-1, 0.9), random.in(-3, 3));
+        CHECK(shadowFactor(without, without.info().light, point) ==
+              shadowFactor(with, with.info().light, point));
+    }
+}
+
+TEST_CASE("a light among its casters is baked into six faces", "[bake][exact]") {
+    // A room of walls at distance 2, with a window in the wall at x = 2.
+    Mesh room;
+    const auto wall = [&](glm::vec3 at, glm::vec3 u, glm::vec3 v) {
+        room.quad(at - u - v, at + u - v, at + u + v, at - u + v);
+    };
+    wall({-2, 0, 0}, {0, 2, 0}, {0, 0, 2});
+    wall({0, 2, 0}, {2, 0, 0}, {0, 0, 2});
+    wall({0, -2, 0}, {2, 0, 0}, {0, 0, 2});
+    wall({0, 0, 2}, {2, 0, 0}, {0, 2, 0});
+    wall({0, 0, -2}, {2, 0, 0}, {0, 2, 0});
+    wall({2, 0, -1.25f}, {0, 2, 0}, {0, 0, 0.75f});
+    wall({2, 0, 1.25f}, {0, 2, 0}, {0, 0, 0.75f});
+    Casters casters({room});
+    BakeOptions o;
+    o.light.shape = LightShape::point;
+    o.light.position = {0.1, 0.2, -0.1};
+    o.width = o.height = 256;
+    CHECK_FALSE(bake(casters, o));
+    o.cube = true;
+    const ShadowMap map = mustBake(casters, o);
+    REQUIRE(map.faceCount() == 6);
+    CHECK_FALSE(map.info().castersClipped);
+    Random random(13);
+    for (int i = 0; i < 2000; ++i) {
+        const glm::dvec3 d = glm::normalize(
+            glm::dvec3(random.in(-1, 1), random.in(-1, 1), random.in(-1, 1)));
+        const glm::dvec3 point = o.light.position + 4.0 * d;
+        // Where the ray meets the plane of the window.
+        const double t = (2.0 - o.light.position.x) / d.x;
+        const glm::dvec3 at = o.light.position + t * d;
+        const double inside = std::min(0.5 - std::abs(at.z), 2.0 - std::abs(at.y));
+        if (t > 0.0 && std::abs(inside) < 0.05)
+            continue;  // within a few pixels of a jamb
+        const bool lit = t > 0.0 && inside > 0.0;
+        INFO("direction " << d.x << " " << d.y << " " << d.z);
+        CHECK(shadowFactor(map, map.info().light, point) == (lit ? 0.0f : 1.0f));
+    }
+}

@@ -67,8 +67,8 @@ struct BakeOptions {
     std::uint32_t subsamples = 1;  ///< centre rays per side of a pixel, 1..8
     /// Three visibility channels, for casters that tint the light.
     bool color = false;
-    /// Keeps layers that no point of the light can see. Without, their number is stored in
-    /// the map as the attribute "hiddenLayers".
+    /// Keeps layers that no point of the light can see. Without, their number is stored
+    /// in the map as the attribute "hiddenLayers".
     bool keepHidden = false;
     /// z threshold, >= 0, world units. Without: a pixel's footprint at a layer's depth.
     std::optional<float> bias;
