@@ -261,6 +261,7 @@ TEST_CASE("a sun sees everything from before the nearest caster", "[bake][exact]
     BakeOptions o = lamp(LightShape::sun, {77, 77, 77}, 0);
     o.light.direction = {0, -3, 0};
     o.light.angularDiameter = 0.01;
+    o.keepHidden = true;
     o.target.reset();
     o.up = {0, 0, 1};
     const Baked b = mustBake(casters, o);
