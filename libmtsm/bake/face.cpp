@@ -1,5 +1,6 @@
 #include "bake/face.h"
 
+#include <chrono>
 #include <variant>
 
 #include "base/message.h"
@@ -22,6 +23,12 @@ Result<CasterKinds> kindsOf(Visits& visits) {
     });
     if (!status && !known) return status.error();
     return kinds;
+}
+
+double WorkClock::now() const {
+    using namespace std::chrono;
+    return duration<double>(steady_clock::now().time_since_epoch()).count() -
+           visits_.readSeconds();
 }
 
 Error tooLarge(const BakeOptions& o) {

@@ -29,6 +29,18 @@ struct FaceSettings {
     std::uint64_t bytesLeft = 0;  ///< for samples and layers
 };
 
+/// Time that is spent in anything but the source of the casters.
+class WorkClock {
+  public:
+    explicit WorkClock(const Visits& visits) : visits_(visits), start_(now()) {}
+    [[nodiscard]] double seconds() const { return now() - start_; }
+
+  private:
+    [[nodiscard]] double now() const;
+    const Visits& visits_;
+    double start_;
+};
+
 /// What a face came to.
 struct Face {
     std::vector<Tile> tiles;  ///< row-major

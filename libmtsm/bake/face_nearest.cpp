@@ -65,6 +65,7 @@ Result<Face> bakeNearest(Visits& visits, const Projection& projection,
                                       if (budget.exceeded()) return tooLarge(options);
                                       return tell(done + casters.transparent);
                                   });
+    const WorkClock clock(visits);
     if (auto s = tell(0); !s) return s.error();
     const auto status = visits.each(meshesOnly([&](const MeshView& mesh) -> Status {
         ++casters.meshes;
@@ -79,7 +80,7 @@ Result<Face> bakeNearest(Visits& visits, const Projection& projection,
     }));
     if (!status) return status.error();
     if (auto s = rasteriser.finish(); !s) return s.error();
-    face.rasterSeconds = visits.visitorSeconds();
+    face.rasterSeconds = clock.seconds();
     face.triangles = rasteriser.counts();
     face.leavesWindow = face.triangles.leavesWindow;
     if (auto s = takeLayers(buffer, progress, face); !s) return s.error();

@@ -2,7 +2,6 @@
 // and compressed [Xie07, sec. 5.1]; then the casters are visited again for the next band.
 // Where bands end depends on memory, what a pixel ends up with does not.
 #include <algorithm>
-#include <chrono>
 #include <variant>
 
 #include "bake/face.h"
@@ -23,11 +22,6 @@ using raster::SampleTile;
 constexpr double kMergeFootprints = 2.0;
 /// Part of the memory that samples may take; the rest is for sorting them.
 constexpr double kSamplesShare = 0.8;
-
-double seconds() {
-    using namespace std::chrono;
-    return duration<double>(steady_clock::now().time_since_epoch()).count();
-}
 
 /// Depth along the view of so many pixel footprints: constant, and growing with z.
 raster::MergeDepth footprints(const Projection& projection, double count) {
@@ -187,18 +181,19 @@ Result<Face> bakeSamples(Visits& visits, const Projection& projection,
         const auto limit =
             std::uint64_t(kSamplesShare * double(settings.bytesLeft - layerBytes));
         SampleGrid grid(shape, row, std::min(tileRows, row + rows), limit);
+        const WorkClock clock(visits);
         const Status drawn = draw(visits, projection, settings, grid, face);
-        face.rasterSeconds += visits.visitorSeconds();
+        face.rasterSeconds += clock.seconds();
         rows = grid.endRow() - row;
         if (grid.overrun() && rows > 1) {
             rows /= 2;
             continue;
         }
         if (!drawn) return drawn.error();
-        const double start = seconds();
+        const WorkClock compressClock(visits);
         if (auto s = compress(grid, compression, visits.progress(), layerBytes, face); !s)
             return s.error();
-        face.compressSeconds += seconds() - start;
+        face.compressSeconds += compressClock.seconds();
         row = grid.endRow();
     }
     --face.passes;

@@ -97,7 +97,7 @@ Status Progress::operator()(const char* stage, double fraction) const {
 
 Status Visits::each(const CasterVisitor& visitor) {
     const Clock::time_point start = Clock::now();
-    visitorSeconds_ = 0.0;
+    double visitorSeconds = 0.0;
     std::uint64_t number = 0;
     std::exception_ptr thrown;
     Status failed;  // of the first mesh that did, should the source not pass it on
@@ -112,11 +112,11 @@ Status Visits::each(const CasterVisitor& visitor) {
             thrown = std::current_exception();
             s = makeError(ErrorCode::cancelled, "the visitor failed");
         }
-        visitorSeconds_ += secondsSince(begin);
+        visitorSeconds += secondsSince(begin);
         if (!s && failed) failed = s;
         return s;
     });
-    readSeconds_ += secondsSince(start) - visitorSeconds_;
+    readSeconds_ += secondsSince(start) - visitorSeconds;
     if (thrown) std::rethrow_exception(thrown);
     return failed ? status : failed;
 }

@@ -30,13 +30,11 @@ class Visits {
     [[nodiscard]] const Progress& progress() const { return progress_; }
     /// Spent in the source so far, outside the visitors.
     [[nodiscard]] double readSeconds() const { return readSeconds_; }
-    /// Spent in the visitor of the last pass.
-    [[nodiscard]] double visitorSeconds() const { return visitorSeconds_; }
 
   private:
     CasterSource& casters_;
     const Progress& progress_;
-    double readSeconds_ = 0.0, visitorSeconds_ = 0.0;
+    double readSeconds_ = 0.0;
 };
 
 }  // namespace mtsm::bake_detail
