@@ -16,7 +16,11 @@
 // Media. In a map of media (Translucent::media) that holds for surfaces only: layers of
 // one sample that are dark. All other layers are met where the ray crosses the depths of
 // their samples: those from where it enters to where it leaves, without the latter, so
-// that a sample at the very depth at which the ray changes pixels is met once.
+// that a sample at the very depth at which the ray changes pixels is met once. What they
+// take goes by the ray's way per unit of depth, over that of the pixel's centre ray along
+// which they were found, at most kMostStretch: so a homogeneous medium takes exp(-s way)
+// at any slant. A ray of constant depth crosses none and loses nothing. Subtraction
+// (Attenuation::subtract) takes what the paper says, at any slant.
 //
 // Six faces. A point of the ray belongs to the face in which its depth is greatest, to
 // the first of several that are level (map.h). Depths are linear in t, so each face has
@@ -94,8 +98,8 @@ struct PixelCrossing {
     double bias = 0.0;     ///< z threshold there
     Span counted;          ///< layers outside do not count
     bool surfaces = true;  ///< false, in a map of media: surfaces do not count
-    /// Media: how much longer the ray's way through a slice of depth is than the centre
-    /// ray's, at most kMostStretch.
+    /// Media, multiplied: how much longer the ray's way through a slice of depth is than
+    /// the centre ray's, at most kMostStretch.
     double stretch = 1.0;
 };
 

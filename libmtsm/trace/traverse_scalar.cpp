@@ -83,7 +83,7 @@ class Traversal {
           surfaces_(surfaces),
           sheets_(!map.isOpaque() && map.info().translucent == Translucent::sheets),
           media_(map.info().translucent == Translucent::media),
-          length_(media_ ? glm::length(ray.delta) : 1.0) {
+          length_(media_ ? std::hypot(ray.delta.x, ray.delta.y, ray.delta.z) : 1.0) {
         const Projection& p = map.projection(face);
         const glm::dvec3 o = p.lightFromWorld(ray.origin);
         const glm::dvec3 d = p.lightFromWorldDirection(ray.delta);

@@ -2,11 +2,26 @@
 // know of each other: each pixel of each face is a pyramid that the ray is clipped
 // against on its own, in long double.
 #pragma once
+#include <algorithm>
 #include <cmath>
 
 #include "trace/traverse.h"
 
 namespace mtsm::test {
+
+/// What a medium's samples in pixel (x, y) of a view take counts this much for a ray
+/// along d of light space: the ray's way per unit of depth over the centre ray's, at
+/// most 16.
+inline long double stretchOf(const Projection& p, std::uint32_t x, std::uint32_t y,
+                             glm::dvec3 d) {
+    using L = long double;
+    const L cx = (x + 0.5L - p.offset.x) / p.scale.x;
+    const L cy = (y + 0.5L - p.offset.y) / p.scale.y;
+    const L centre =
+        p.kind == ProjectionKind::perspective ? std::sqrt(cx * cx + cy * cy + 1) : L(1);
+    const L way = std::sqrt(L(d.x) * d.x + L(d.y) * d.y + L(d.z) * d.z) / std::abs(d.z);
+    return std::min(way / centre, L(16));
+}
 
 /// For maps of one channel; of the bias only the constant counts, of sheets that are not
 /// opaque it must be 0 (the walk does not know what a ray has paid for before).
@@ -39,6 +54,7 @@ inline double bruteForce(const ShadowMap& map, const trace::Ray& ray,
             side(ha - 1e-9L, hb);  // in front of the eye
             if (!(t0 < t1)) continue;
             const PixelLayers layers = map.pixel(face, x, y);
+            const L stretch = media ? stretchOf(p, x, y, d) : L(1);
             L vBefore = 1;
             for (std::uint32_t k = 0; k < layers.count; ++k) {
                 const L v = layers.v ? layers.v[k] : 0;
@@ -58,7 +74,7 @@ inline double bruteForce(const ShadowMap& map, const trace::Ray& ray,
                 if (v == 0 && isMet(to))
                     visible = 0;
                 else if (met && options.attenuation == Attenuation::multiply && v > 0)
-                    visible *= std::pow(v / vBefore, L(met) / n);
+                    visible *= std::pow(v / vBefore, stretch * met / n);
                 else if (met && options.attenuation == Attenuation::subtract)
                     visible = std::max(L(0), visible - (vBefore - v) * met / n);
                 vBefore = v == 0 ? 1 : v;

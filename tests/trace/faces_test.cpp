@@ -57,22 +57,38 @@ std::vector<glm::dvec3> edgesAndCorners() {
     return all;
 }
 
+/// v = exp(-s (z - 1)) from depth 1 to 5, sampled 512 times.
+std::vector<TestLayer> fogOf(double s) {
+    std::vector<TestLayer> fog = {{1.0f, 1.0f, 1}};
+    for (int i = 1; i <= 32; ++i)
+        fog.push_back({1.0f + float(i) / 8, float(std::exp(-s * i / 8)), 16});
+    return fog;
+}
+
 double largest(glm::dvec3 p) {
     return std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
+}
+
+/// By subtraction, which counts samples: what each takes is the same at any slant.
+float countedFrom(const ShadowMap& map, glm::dvec3 from, glm::dvec3 to) {
+    TraceOptions options;
+    options.attenuation = Attenuation::subtract;
+    return visibleFrom(map, from, to, options);
 }
 
 const double kSteps[] = {0.0, 1e-300, 1e-17, 1e-16, 3e-16, 1e-15, 1e-12, 1e-8, 1e-4};
 
 }  // namespace
 
-TEST_CASE("a half-transparent cube around the eye takes half of every ray that leaves it",
-          "[trace][exact]") {
+TEST_CASE(
+    "a translucent cube around the eye is paid for once by every ray that leaves it",
+    "[trace][exact]") {
     // As media: no bias mends a gap, and what is counted twice shows. Each pixel has its
     // sample at depth 4, so the samples are the faces of the cube of half side 4.
     for (const std::uint32_t width : {16u, 13u, 1u}) {
         const auto views = cubeProjections(width);
         const ShadowMap map = shell(width, Translucent::media, views, [](glm::dvec3) {
-            return std::vector<TestLayer>{{4.0f, 0.5f, 1}};
+            return std::vector<TestLayer>{{4.0f, 0.75f, 1}};
         });
         std::mt19937_64 random(5);
         const auto unit = [&] { return 2 * double(random() >> 11) * 0x1p-53 - 1; };
@@ -82,15 +98,16 @@ TEST_CASE("a half-transparent cube around the eye takes half of every ray that l
                 INFO("width " << width << " towards " << d.x << " " << d.y << " " << d.z
                               << " step " << step);
                 // Along the edge plane or the corner line from the eye, both ways.
-                CHECK(visibleFrom(map, 8.0 * d + off, 0.5 * d + off) == 0.5f);
-                CHECK(visibleFrom(map, 0.5 * d + off, 8.0 * d + off) == 0.5f);
+                CHECK(countedFrom(map, 8.0 * d + off, 0.5 * d + off) == 0.75f);
+                CHECK(countedFrom(map, 0.5 * d + off, 8.0 * d + off) == 0.75f);
                 // Through the eye: out on both sides.
-                CHECK(visibleFrom(map, 8.0 * d + off, -8.0 * d + off) == 0.25f);
+                CHECK(countedFrom(map, 8.0 * d + off, -8.0 * d + off) == 0.5f);
                 // Across the edge at the cube itself, and short of it.
                 const glm::dvec3 inside(unit(), unit(), unit());
-                CHECK(visibleFrom(map, 8.0 * d + off - inside, inside) == 0.5f);
-                CHECK(visibleFrom(map, 3.0 * d + off, inside) == 1.0f);
-                CHECK(visibleFrom(map, inside, 4.0 * d + off + 4.0 * d - inside) == 0.5f);
+                CHECK(countedFrom(map, 8.0 * d + off - inside, inside) == 0.75f);
+                CHECK(countedFrom(map, 3.0 * d + off, inside) == 1.0f);
+                CHECK(countedFrom(map, inside, 4.0 * d + off + 4.0 * d - inside) ==
+                      0.75f);
             }
         }
         // Rays within the plane between two faces, from anywhere to anywhere in it.
@@ -100,9 +117,9 @@ TEST_CASE("a half-transparent cube around the eye takes half of every ray that l
             glm::dvec3 from(0.0), to(0.0);
             from[a] = 6 * unit(), from[b] = sign * from[a], from[c] = 6 * unit();
             to[a] = 3.9 * unit(), to[b] = sign * to[a], to[c] = 3.9 * unit();
-            const float expected = largest(from) > 4 ? 0.5f : 1.0f;
-            CHECK(visibleFrom(map, from, to) == expected);
-            CHECK(visibleFrom(map, to, from) == expected);
+            const float expected = largest(from) > 4 ? 0.75f : 1.0f;
+            CHECK(countedFrom(map, from, to) == expected);
+            CHECK(countedFrom(map, to, from) == expected);
         }
     }
 }
@@ -116,7 +133,7 @@ TEST_CASE("a cube that is turned and far from the origin has no seams either",
     const glm::dvec3 eye(1e7, -3e6, 1e5);
     const ShadowMap map =
         shell(13, Translucent::media, cubeProjections(13, eye, turn), [](glm::dvec3) {
-            return std::vector<TestLayer>{{4.0f, 0.5f, 1}};
+            return std::vector<TestLayer>{{4.0f, 0.75f, 1}};
         });
     std::mt19937_64 random(6);
     const auto unit = [&] { return 2 * double(random() >> 11) * 0x1p-53 - 1; };
@@ -124,9 +141,9 @@ TEST_CASE("a cube that is turned and far from the origin has no seams either",
         for (int i = 0; i < 60; ++i) {
             const glm::dvec3 off = kSteps[i % 9] * glm::dvec3(unit(), unit(), unit());
             const glm::dvec3 far = eye + turn * ((5.0 + unit()) * d + off);
-            CHECK(visibleFrom(map, far, eye + turn * (0.3 * unit() * d)) == 0.5f);
-            CHECK(visibleFrom(map, far, eye) == 0.5f);
-            CHECK(visibleFrom(map, eye + turn * (2.0 * d), far) == 0.5f);
+            CHECK(countedFrom(map, far, eye + turn * (0.3 * unit() * d)) == 0.75f);
+            CHECK(countedFrom(map, far, eye) == 0.75f);
+            CHECK(countedFrom(map, eye + turn * (2.0 * d), far) == 0.75f);
         }
     }
 }
@@ -217,22 +234,49 @@ TEST_CASE("light leaves a room of opaque walls through its holes only",
 
 TEST_CASE("visibility in a fog around the light is continuous over edges and corners",
           "[trace][exact]") {
-    // Fog in cubes around the eye: v = exp(-s (z - 1)) behind depth z, sampled 512 times.
+    // Fog in cubes around the eye, from depth 1 to 5. Sheets: by depth. Media: by length,
+    // as homogeneous fog is, and what a pixel holds is found along its centre ray.
     const double s = 0.5;
-    std::vector<TestLayer> fog = {{1.0f, 1.0f, 1}};
-    for (int i = 1; i <= 32; ++i)
-        fog.push_back({1.0f + float(i) / 8, float(std::exp(-s * i / 8)), 16});
     for (const Translucent rule : {Translucent::media, Translucent::sheets}) {
-        const ShadowMap map =
-            shell(16, rule, cubeProjections(16), [&](glm::dvec3) { return fog; });
+        const bool media = rule == Translucent::media;
+        const ShadowMap map = shell(16, rule, cubeProjections(16), [&](glm::dvec3 c) {
+            return fogOf(media ? s * glm::length(c) : s);
+        });
         for (const glm::dvec3 d : edgesAndCorners()) {
             for (int i = -20; i <= 20; ++i) {
                 const glm::dvec3 p = 4.0 * d + 0.003 * i * glm::dvec3(1, -0.7, 0.4);
+                const double way = media ? glm::length(p) / largest(p) : 1.0;
                 INFO(d.x << " " << d.y << " " << d.z << " step " << i);
                 CHECK(visibleFrom(map, p, {0, 0, 0}) ==
-                      Approx(std::exp(-s * (largest(p) - 1))).epsilon(1.5 * s / 128));
+                      Approx(std::exp(-s * way * (largest(p) - 1)))
+                          .epsilon(1.5 * s * way / 128));
             }
         }
+    }
+}
+
+TEST_CASE("a ray across faces pays homogeneous fog by its length", "[trace][exact]") {
+    const double s = 0.5;
+    const ShadowMap map = shell(16, Translucent::media, cubeProjections(16),
+                                [&](glm::dvec3 c) { return fogOf(s * glm::length(c)); });
+    std::mt19937_64 random(10);
+    const auto unit = [&] { return double(random() >> 11) * 0x1p-53; };
+    for (int i = 0; i < 4000; ++i) {
+        // From a point of one face to one of the next, over the edge between them.
+        const int a = i % 3, b = (i + 1) % 3, c = (i + 2) % 3;
+        glm::dvec3 from(0.0), to(0.0);
+        from[a] = 3 + 1.9 * unit(), from[b] = 2 * unit() - 1;
+        to[b] = 3 + 1.9 * unit(), to[a] = 2 * unit() - 1;
+        from[c] = 2 * unit() - 1, to[c] = 2 * unit() - 1;
+        if (i & 1) from[a] = -from[a], to[a] = -to[a];
+        if (i & 2) from[b] = -from[b], to[b] = -to[b];
+        // Chords that stay in the fog: the box of depth 1 is behind their edge's
+        // diagonal.
+        const double way = glm::length(to - from);
+        INFO("ray " << i);
+        // Two faces, in each a sample more or less.
+        CHECK(visibleFrom(map, from, to) ==
+              Approx(std::exp(-s * way)).epsilon(2.5 * s * 3 / 128));
     }
 }
 

@@ -40,8 +40,9 @@ enum class Translucent : std::uint32_t {
     /// has paid for where it changes pixels are not paid for again.
     sheets = 0,
     /// Hair and volumes, whose samples in neighbouring pixels have nothing to do with
-    /// each other: met where the ray crosses their depth, and nowhere else. Opaque are
-    /// then layers of one sample (n = 1) that are dark (v = 0 in every channel).
+    /// each other: met where the ray crosses their depth, and nowhere else, and for as
+    /// much as its way there is longer than the pixel's centre ray's. Opaque are then
+    /// layers of one sample (n = 1) that are dark (v = 0 in every channel).
     media = 1
 };
 

@@ -18,7 +18,9 @@
 //
 // In a map of media (MapInfo::translucent) that holds for opaque surfaces. Hair and
 // volumes are met at exact crossings, and without a normal from one pixel footprint away
-// from the receiver on; with one, the tangent plane is theirs as well.
+// from the receiver on; with one, the tangent plane is theirs as well. Traced rays lose
+// light in them by the length of their way; pcf takes what the map holds, and so does
+// Attenuation::subtract.
 //
 // Colour: functions whose name ends in Color give each visibility channel of the map
 // (red, green, blue; a map of one channel gives it three times), all others their mean.
