@@ -114,6 +114,8 @@ class CasterSource {
 struct MaterialTexture {
     std::string material;  ///< shell pattern, matched against whole names
     std::string image;     ///< path, as the process sees it; empty: no texture
+
+    friend bool operator==(const MaterialTexture&, const MaterialTexture&) = default;
 };
 
 struct MeshFileOptions {
