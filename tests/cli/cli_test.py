@@ -679,7 +679,7 @@ class Casters(ToolTest):
 
     def halves(self, map):
         """Shadow factors under the left and the right half of the square."""
-        done = self.good(run("query", map, "--point", "-0.3,0.9,0", "--point", "0.3,0.9,0"))
+        done = self.good(run("query", map, "--point", "-0.4,0,0", "--point", "0.4,0,0"))
         return [float(row["shadow"]) for row in csv.DictReader(io.StringIO(done.stdout))]
 
     def test_a_texture_is_given_to_materials_by_name(self):
