@@ -115,7 +115,9 @@ struct MaterialTexture {
     std::string material;  ///< shell pattern, matched against whole names
     std::string image;     ///< path, as the process sees it; empty: no texture
 
-    friend bool operator==(const MaterialTexture&, const MaterialTexture&) = default;
+    friend bool operator==(const MaterialTexture& a, const MaterialTexture& b) noexcept {
+        return a.material == b.material && a.image == b.image;
+    }
 };
 
 struct MeshFileOptions {
