@@ -56,8 +56,8 @@ step "2. Build" build_tools
 step "3. Casters: fur of about a million triangles, smoke, and a job file for both" make_casters
 step "4. Bake" $build/tools/mtsm-bake "$out/transparent.toml"
 step "5. What is in the map" $build/tools/mtsm-dump "$out/transparent.mtsm"
-step "6. Shadow the floor from the map: 512 x 256 points, 256 rays each" \
-    $build/tools/mtsm-query "$out/transparent.mtsm" --plane -4,0,1.5,8,0,0,0,0,-4 --size 512x256 \
+step "6. Shadow the floor from the map: 512 x 320 points, 256 rays each" \
+    $build/tools/mtsm-query "$out/transparent.mtsm" --plane -4,0,1.5,8,0,0,0,0,-5 --size 512x320 \
     --samples 256 --stats -o "$out/transparent.png"
 echo
 echo "The shadow is in $out/transparent.png: look at it. The map is in $out/transparent.mtsm."

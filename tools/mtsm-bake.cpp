@@ -51,6 +51,9 @@ constexpr const char* kExamples =
     "  foliage, leaves cut out by their textures, 2 x 2 centre rays per pixel:\n"
     "    mtsm-bake tree.glb --subsamples 2 --light-angle 0.53 \\\n"
     "              --light-direction -1,-3,-1 -o tree.mtsm\n"
+    "  a tree whose file names no image for its leaves:\n"
+    "    mtsm-bake oak.dae --texture 'Branch*=branch.png' --light-angle 0.53 \\\n"
+    "              --light-direction -1,-3,-1 -o oak.mtsm\n"
     "  smoke, thinner than it is in the file, at a coarser tolerance:\n"
     "    mtsm-bake smoke.vdb --density-scale 0.2 --tolerance 0.01 \\\n"
     "              --light-radius 0.3 --light-position 2,5,3 -o smoke.mtsm\n"
@@ -91,7 +94,7 @@ struct Arguments {
     std::optional<double> hairWidth, hairTipWidth, hairOpacity, hairScale, densityScale;
     std::string densityGrid;
     std::optional<std::size_t> projection, cull, codec;
-    std::vector<std::string> include, exclude;
+    std::vector<std::string> include, exclude, textures;
     std::int64_t level = 3, threads = 0;
     std::string maxMemory;
     bool color = false, keepHidden = false, quiet = false, json = false;
@@ -196,18 +199,23 @@ void addCasterOptions(CLI::App& app, Arguments& a) {
               "opacity of all materials, 0 to 1; alpha textures\n"
               "still cut their holes (default: the materials' own)")
         ->group(meshes);
-    const auto addGlobs = [&](const char* name, std::vector<std::string>& globs,
-                              const char* help) {
-        app.add_option(name, globs, help)
-            ->type_name("GLOB")
+    const auto addList = [&](const char* name, std::vector<std::string>& list,
+                             const char* form, const char* help) {
+        app.add_option(name, list, help)
+            ->type_name(form)
             ->allow_extra_args(false)
             ->group(meshes);
     };
-    addGlobs("--include", a.include,
-             "only meshes whose node, mesh or material name\n"
-             "matches, such as 'tree*'; case counts; may be\n"
-             "repeated");
-    addGlobs("--exclude", a.exclude, "all but meshes that match; may be repeated");
+    addList("--include", a.include, "GLOB",
+            "only meshes whose node, mesh or material name\n"
+            "matches, such as 'tree*'; case counts; may be\n"
+            "repeated");
+    addList("--exclude", a.exclude, "GLOB", "all but meshes that match; may be repeated");
+    addList("--texture", a.textures, "GLOB=IMAGE",
+            "materials of these names are as opaque as the alpha\n"
+            "of IMAGE (without alpha: its brightness), whatever\n"
+            "their file says; nothing behind the = is no texture;\n"
+            "may be repeated, the last that matches counts");
 
     addNumber(app, "--hair-width", a.hairWidth, {0.0, kAny}, "W",
               "full width of all strands at the root, in units of\n"
@@ -286,6 +294,26 @@ Input readInput(const Arguments& a, CLI::App& app) {
     return input;
 }
 
+/// What --texture says; its images are there.
+std::vector<MaterialTexture> parseTextures(const Arguments& a) {
+    std::vector<MaterialTexture> textures;
+    for (const std::string& text : a.textures) {
+        auto texture = parseTexture(text);
+        if (!texture)
+            throw UsageError("--texture: found \"" + text +
+                             "\", expected the name of a material, = and an image, such "
+                             "as 'Leaf*=leaf.png'");
+        std::error_code problem;
+        const std::string& image = texture->image;
+        if (!image.empty() && !std::filesystem::exists(image, problem))
+            throw Failure{{ErrorCode::io, "--texture: there is no file " + image +
+                                              "; paths are relative to the folder that "
+                                              "the tool runs in"}};
+        textures.push_back(*std::move(texture));
+    }
+    return textures;
+}
+
 /// Caster options of the command line go to every caster that they are for.
 void applyCasterOptions(const Arguments& a, std::vector<CasterFile>& casters) {
     const auto apply = [&](const char* option, bool given, CasterKind kind,
@@ -307,6 +335,11 @@ void applyCasterOptions(const Arguments& a, std::vector<CasterFile>& casters) {
          [&](CasterFile& c) { c.opacity = float(*a.opacity); });
     mesh("--include", !a.include.empty(), [&](CasterFile& c) { c.include = a.include; });
     mesh("--exclude", !a.exclude.empty(), [&](CasterFile& c) { c.exclude = a.exclude; });
+
+    const auto textures = parseTextures(a);
+    mesh("--texture", !textures.empty(), [&](CasterFile& c) {
+        c.textures.insert(c.textures.end(), textures.begin(), textures.end());
+    });
 
     const auto hair = [&](const char* option, std::optional<double> value, auto&& set) {
         apply(option, value.has_value(), CasterKind::hair, "hair", set);

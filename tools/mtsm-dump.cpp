@@ -314,6 +314,15 @@ std::string attributeText(const Attribute& a) {
     return list;
 }
 
+void attributeRow(Rows& rows, const Attribute& a) {
+    const auto* count = std::get_if<std::int64_t>(&a.value);
+    if (a.name == "hiddenLayers" && count && *count >= 0)
+        rows.row("hidden layers", countText(std::uint64_t(*count)) +
+                                      " dropped: no point of the light sees them");
+    else
+        rows.row(printable(a.name), printable(attributeText(a)));
+}
+
 std::string summaryText(const Arguments& a, const Description& d, const ShadowMap& map) {
     const MapInfo& info = map.info();
     Rows rows;
@@ -333,7 +342,7 @@ std::string summaryText(const Arguments& a, const Description& d, const ShadowMa
     byteRows(rows, map, d);
     if (!info.attributes.empty()) rows.group("Attributes");
     for (const Attribute& attribute : info.attributes)
-        rows.row(printable(attribute.name), printable(attributeText(attribute)));
+        attributeRow(rows, attribute);
     return rows.text().substr(1);
 }
 

@@ -52,6 +52,7 @@ Status checkUses(const CasterFile& f) {
     const Use uses[] = {{"opacity", f.opacity.has_value(), CasterKind::mesh},
                         {"include", !f.include.empty(), CasterKind::mesh},
                         {"exclude", !f.exclude.empty(), CasterKind::mesh},
+                        {"texture", !f.textures.empty(), CasterKind::mesh},
                         {"hair-width", f.hairWidth.has_value(), CasterKind::hair},
                         {"hair-tip-width", f.hairTipWidth.has_value(), CasterKind::hair},
                         {"hair-opacity", f.hairOpacity.has_value(), CasterKind::hair},
@@ -124,7 +125,7 @@ struct Group {
         const CasterFile& first = files.front();
         return kind == CasterKind::mesh && first.transform == file.transform &&
                first.opacity == file.opacity && first.include == file.include &&
-               first.exclude == file.exclude;
+               first.exclude == file.exclude && first.textures == file.textures;
     }
 };
 
@@ -175,6 +176,7 @@ std::unique_ptr<CasterSource> meshSource(const Group& group,
     MeshFileOptions o;
     o.include = first.include;
     o.exclude = first.exclude;
+    o.textures = first.textures;
     o.opacity = first.opacity;
     o.color = options.color;
     o.cacheBytes = cacheBytes;

@@ -71,7 +71,7 @@ OPTIONS = {
     "bake": """--output --light-shape --light-position --light-target --light-direction --light-up
                --light-radius --light-size --light-angle --light-name --projection --fov --near --far
                --resolution --subsamples --bias --cull --layers --tolerance --resets --color
-               --keep-hidden --opacity --include --exclude --hair-width --hair-tip-width --hair-opacity
+               --keep-hidden --opacity --include --exclude --texture --hair-width --hair-tip-width --hair-opacity
                --hair-scale --density-grid --density-scale --codec --level --threads --max-memory
                --quiet --json --version --help""",
     "query": """--point --normal --points --rays --position --position-layer --normal-pass
@@ -224,6 +224,16 @@ def read_png(path):
         rows.append(line)
         above = line
     return width, height, rows, step
+
+
+def grey_png(rows):
+    """Eight-bit grey, rows from the top."""
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    pixels = zlib.compress(b"".join(b"\0" + bytes(row) for row in rows))
+    return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", len(rows[0]), len(rows), 8, 0, 0, 0, 0))
+            + chunk(b"IDAT", pixels) + chunk(b"IEND", b""))
 
 
 def read_grey_png(path):
@@ -454,6 +464,9 @@ class Job(ToolTest):
                 self.wrong(f"[{table}]\n{key} = 1\n", 4, f'unknown key "{key}"', " belongs ")
 
     def test_every_setting_is_understood(self):
+        os.makedirs("sub")
+        pathlib.Path("grey.png").write_bytes(grey_png([[255]]))
+        pathlib.Path("fur.hair").write_bytes(hair())
         self.good(self.job("""output = "sub/a.mtsm"
             threads = 2
             max-memory = "64M"
@@ -485,18 +498,27 @@ class Job(ToolTest):
             file = "scene.obj"
             include = ["square", "floor"]
             exclude = "floor"
+            texture = ["no*=", "*=grey.png"]
             opacity = 1.0
             rotate = [0, 90, 0]
             translate = [0, 0.5, 0]
             scale = 0.5
-            """) if os.makedirs("sub") is None else None)
+            [[caster]]
+            file = "fur.hair"
+            hair-width = 0.01
+            hair-tip-width = 0.005
+            hair-opacity = 0.5
+            hair-scale = 0.25
+            """))
         j = json.loads(run("dump", "sub/a.mtsm", "--json").stdout)
         self.assertEqual((j["width"], j["light"]["shape"], j["light"]["size"]), (64, "rect", [1, 0.5]))
         self.assertAlmostEqual(j["bias"], 0.1, places=6)
         # The square of side 2 at height 1, halved and raised by 0.5, is 3 below the light.
         back = j["projections"][0]["eye"][1] - 4
         self.assertAlmostEqual(j["zRange"][0] - back, 3, places=5)
-        for word in ("--resets 2", "--tolerance 0.02", "--keep-hidden", "transform = ", "include = square"):
+        for word in ("--resets 2", "--tolerance 0.02", "--keep-hidden", "transform = ", "include = square",
+                     "texture = *=grey.png", "hair-width = 0.01, hair-tip-width = 0.005, hair-opacity = 0.5, "
+                     "hair-scale = 0.25"):
             self.assertIn(word, j["settings"])
 
     def test_casters_are_moved_one_by_one(self):
@@ -647,6 +669,53 @@ class Casters(ToolTest):
             pathlib.Path("cut.vdb").write_bytes(data[:cut])
             self.fails(self.bake("cut.vdb"), 4, "cut.vdb")
 
+    def textured(self):
+        """The square of SCENE with texture coordinates and two materials, and a mask of two halves."""
+        pathlib.Path("card.obj").write_text(
+            "v -1 1 -1\nv 1 1 -1\nv 1 1 1\nv -1 1 1\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+            "mtllib card.mtl\nusemtl Leaf_2\nf 1/1 2/2 3/3 4/4\n")
+        pathlib.Path("card.mtl").write_text("newmtl Leaf_2\nKd 0 1 0\n")
+        pathlib.Path("half.png").write_bytes(grey_png([[0] * 8 + [255] * 8] * 16))
+
+    def halves(self, map):
+        """Shadow factors under the left and the right half of the square."""
+        done = self.good(run("query", map, "--point", "-0.4,0,0", "--point", "0.4,0,0"))
+        return [float(row["shadow"]) for row in csv.DictReader(io.StringIO(done.stdout))]
+
+    def test_a_texture_is_given_to_materials_by_name(self):
+        self.textured()
+        for texture, shadows in ((["Leaf*=half.png"], [0, 1]), (["leaf*=half.png"], [1, 1]),
+                                 (["*=half.png", "Leaf_2="], [1, 1]),
+                                 (["*=", "Leaf_[0-9]=half.png"], [0, 1])):
+            with self.subTest(texture=texture):
+                options = [word for one in texture for word in ("--texture", one)]
+                self.good(self.bake("card.obj", *options))
+                self.assertEqual(self.halves("a.mtsm"), shadows)
+                settings = json.loads(run("dump", "a.mtsm", "--json").stdout)["settings"]
+                self.assertIn("--texture " + texture[-1], settings)
+        os.mkdir("jobs")
+        pathlib.Path("jobs/j.toml").write_text(
+            'output = "a.mtsm"\n[light]\nradius = 0.3\nposition = [0, 4, 0]\n[map]\nresolution = 64\n'
+            '[[caster]]\nfile = "../card.obj"\ntexture = "Leaf*=../half.png"\n')
+        self.good(run("bake", "jobs/j.toml"))
+        self.assertEqual(self.halves("jobs/a.mtsm"), [0, 1])
+        self.good(run("bake", "jobs/j.toml", "--texture", "Leaf*="))
+        self.assertEqual(self.halves("jobs/a.mtsm"), [1, 1])
+
+    def test_a_texture_that_cannot_be_used_is_named(self):
+        self.textured()
+        for texture in ("half.png", "=half.png", ""):
+            self.fails(self.bake("card.obj", "--texture", texture), 2, "--texture")
+        self.fails(self.bake("card.obj", "--texture", "*=none.png"), 3, "--texture", "none.png", "folder")
+        self.fails(self.bake("card.obj", "--texture", "*=card.mtl"), 3, "card.mtl", "texture")
+        job = 'output = "a.mtsm"\n[[caster]]\nfile = "card.obj"\ntexture = '
+        for value, code, words in (('"half.png"', 4, ["job.toml:4:11", '"half.png"', "PATTERN=IMAGE"]),
+                                   ("[]", 4, ["job.toml:4:11", "a list of 0 values"]),
+                                   ('["*=half.png", "*=none.png"]', 3, ["job.toml:4:11: texture", "none.png"])):
+            pathlib.Path("job.toml").write_text(job + value + "\n")
+            self.fails(run("bake", "job.toml"), code, *words)
+        self.leaves("scene.obj", "fur.hair", "card.obj", "card.mtl", "half.png", "job.toml")
+
     def test_six_faces_make_one_map(self):
         done = self.good(run("bake", "scene.obj", "--light-shape", "point", "--light-position", "0,2,0",
                              "--projection", "cube", "--resolution", 32, "-o", "a.mtsm", "--json"))
@@ -658,6 +727,7 @@ class Casters(ToolTest):
     def test_options_of_a_kind_need_an_input_of_that_kind(self):
         for option in ("--opacity", "--include", "--exclude", "--density-scale", "--density-grid"):
             self.fails(self.bake("fur.hair", option, "1"), 2, option, "none of the inputs")
+        self.fails(self.bake("fur.hair", "--texture", "*="), 2, "--texture", "none of the inputs")
         pathlib.Path("a.ply").write_text("ply\n")
         for option in ("--hair-width", "--hair-scale", "--hair-opacity"):
             self.fails(self.bake("a.ply", option, "1"), 2, option, "none of the inputs is hair")
@@ -1136,6 +1206,15 @@ class Dump(ToolTest):
         self.assertGreater(back, 0)
         self.assertAlmostEqual(j["zRange"][0], 3 + back, places=5)
         self.assertAlmostEqual(j["zRange"][1], 3 + back, places=5)
+
+    def test_layers_that_no_point_of_the_light_sees_are_counted(self):
+        done = self.good(run("bake", "scene.obj", *LIGHT, "--resolution", 128, "--json", "-o", "both.mtsm"))
+        hidden = json.loads(done.stdout)["droppedHidden"]
+        self.assertGreater(hidden, 0)  # the floor below the square
+        attributes = json.loads(run("dump", "both.mtsm", "--json").stdout)["attributes"]
+        self.assertEqual(attributes, {"hiddenLayers": hidden})
+        counted = f"{hidden:,}".replace(",", " ")
+        self.assertIn(f"hidden layers       {counted} dropped: ", run("dump", "both.mtsm").stdout)
 
     def test_a_pixel_s_layers(self):
         text = self.good(run("dump", "key.mtsm", "--pixel", "64,64")).stdout

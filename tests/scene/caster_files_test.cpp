@@ -163,6 +163,7 @@ TEST_CASE("settings of another kind of file are refused before anything is read"
         refused(path, "opacity", [](CasterFile& f) { f.opacity = 0.5f; });
         refused(path, "include", [](CasterFile& f) { f.include = {"x"}; });
         refused(path, "exclude", [](CasterFile& f) { f.exclude = {"x"}; });
+        refused(path, "texture", [](CasterFile& f) { f.textures = {{"x", "x.png"}}; });
     }
     for (const char* path : {"a.ply", "a.vdb"}) {
         refused(path, "hair-width", [](CasterFile& f) { f.hairWidth = 1.0f; });

@@ -104,6 +104,12 @@ glm::uvec2 parsePixel(const std::string& option, const std::string& text) {
     return pixel;
 }
 
+std::optional<MaterialTexture> parseTexture(const std::string& text) {
+    const std::size_t equals = text.find('=');
+    if (equals == std::string::npos || equals == 0) return std::nullopt;
+    return MaterialTexture{text.substr(0, equals), text.substr(equals + 1)};
+}
+
 std::uint64_t parseBytes(const std::string& option, const std::string& text) {
     static constexpr std::string_view kSuffixes = "KMGT";
     std::string digits = text;

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "mtsm/reader.h"
+#include "mtsm/scene.h"
 
 namespace mtsm::tools {
 
@@ -37,6 +38,8 @@ glm::uvec2 parseResolution(const std::string& option, const std::string& text,
                            std::uint32_t most);
 /// "X,Y": whole numbers, not negative.
 glm::uvec2 parsePixel(const std::string& option, const std::string& text);
+/// "PATTERN=IMAGE"; nothing behind the = is no texture. Empty if it is of another form.
+std::optional<MaterialTexture> parseTexture(const std::string& text);
 /// Bytes with an optional suffix K, M, G or T (powers of 1024).
 std::uint64_t parseBytes(const std::string& option, const std::string& text);
 

@@ -46,6 +46,7 @@ enum class Form {
     bytes,
     resets,
     patterns,
+    textures,
     matrix,
     size
 };
@@ -98,6 +99,7 @@ constexpr Key kKeys[] = {
     {"caster", "opacity", Form::number},
     {"caster", "include", Form::patterns},
     {"caster", "exclude", Form::patterns},
+    {"caster", "texture", Form::textures},
     {"caster", "hair-width", Form::number},
     {"caster", "hair-tip-width", Form::number},
     {"caster", "hair-opacity", Form::number},
@@ -131,6 +133,8 @@ const char* expected(Form form) {
             return "a whole number, or \"all\"";
         case Form::patterns:
             return "a pattern in quotes, or a list of them";
+        case Form::textures:
+            return "\"PATTERN=IMAGE\", such as \"Leaf*=leaf.png\", or a list of them";
         case Form::matrix:
             return "16 finite numbers, row by row, the last row 0, 0, 0, 1";
         case Form::size:
@@ -299,6 +303,17 @@ std::vector<std::string> texts(const toml::node& node) {
     return values;
 }
 
+/// One PATTERN=IMAGE or a list of them; empty if it is anything else.
+std::vector<MaterialTexture> textures(const toml::node& node) {
+    std::vector<MaterialTexture> values;
+    for (const std::string& one : texts(node)) {
+        auto texture = parseTexture(one);
+        if (!texture) return {};
+        values.push_back(*std::move(texture));
+    }
+    return values;
+}
+
 /// A value of the form as the command line spells it; nothing if it is of another form.
 std::optional<std::string> spell(Form form, const toml::node& node) {
     const auto* word = node.as_string();
@@ -363,12 +378,17 @@ class Reader {
     void readSettings(std::string_view table, const toml::table& content);
     void readCasters(const toml::node& list);
     CasterFile readCaster(const toml::table& content) const;
+    [[nodiscard]] std::vector<MaterialTexture> readTextures(
+        const toml::node& value) const;
     void setCaster(CasterFile& caster, const Key& key, const toml::node& value) const;
     glm::dmat4 transformOf(const toml::table& content) const;
     /// As seen from the folder that the tool runs in.
     [[nodiscard]] std::string resolved(const std::string& file) const {
         return (fs::path(path_).parent_path() / file).string();
     }
+    /// Refuses a file that a key names and that does not exist.
+    void checkThere(const toml::node& node, const std::string& key,
+                    const std::string& file) const;
     [[noreturn]] void refuseValue(const Key& key, const toml::node& value) const {
         refuse(place(value), std::string(key.name) + ": found " + found(value) +
                                  ", expected " + expected(key.form));
@@ -463,6 +483,26 @@ glm::dmat4 Reader::transformOf(const toml::table& content) const {
     return glm::scale(m, triple("scale", 1.0));
 }
 
+void Reader::checkThere(const toml::node& node, const std::string& key,
+                        const std::string& file) const {
+    std::error_code problem;
+    if (!fs::exists(file, problem))
+        throw Failure{{ErrorCode::io, place(node) + ": " + key + ": there is no file " +
+                                          file +
+                                          " (paths are relative to the job file)"}};
+}
+
+/// Images as the process sees them.
+std::vector<MaterialTexture> Reader::readTextures(const toml::node& value) const {
+    auto list = textures(value);
+    for (MaterialTexture& texture : list) {
+        if (texture.image.empty()) continue;
+        texture.image = resolved(texture.image);
+        checkThere(value, "texture", texture.image);
+    }
+    return list;
+}
+
 /// Checks the value, and takes it over unless it is part of the transform.
 void Reader::setCaster(CasterFile& c, const Key& key, const toml::node& value) const {
     const auto real = number(value);
@@ -472,12 +512,14 @@ void Reader::setCaster(CasterFile& c, const Key& key, const toml::node& value) c
                       : key.form == Form::size     ? real || numbers(value, 3).size() == 3
                       : key.form == Form::matrix   ? numbers(value, 16).size() == 16
                       : key.form == Form::patterns ? !texts(value).empty()
+                      : key.form == Form::textures ? !textures(value).empty()
                                                    : word && !word->get().empty();
     if (!good) refuseValue(key, value);
     if (key.name == "file") c.path = resolved(word->get());
     if (key.name == "opacity") c.opacity = float(*real);
     if (key.name == "include") c.include = texts(value);
     if (key.name == "exclude") c.exclude = texts(value);
+    if (key.name == "texture") c.textures = readTextures(value);
     if (key.name == "hair-width") c.hairWidth = float(*real);
     if (key.name == "hair-tip-width") c.hairTipWidth = float(*real);
     if (key.name == "hair-opacity") c.hairOpacity = float(*real);
@@ -492,11 +534,7 @@ CasterFile Reader::readCaster(const toml::table& content) const {
         setCaster(caster, find("caster", key), value);
     const toml::node* file = content.get("file");
     if (!file) refuse(place(content), "this [[caster]] has no file = \"...\"");
-    std::error_code problem;
-    if (!fs::exists(caster.path, problem))
-        throw Failure{{ErrorCode::io, place(*file) + ": file: there is no file " +
-                                          caster.path +
-                                          " (paths are relative to the job file)"}};
+    checkThere(*file, "file", caster.path);
     caster.transform = transformOf(content);
     if (const Status good = checkCaster(caster); !good)
         refuse(place(content), good.error().message);
@@ -609,6 +647,8 @@ std::string casterText(const CasterFile& c) {
     addNumber("opacity", c.opacity);
     addAll("include", c.include);
     addAll("exclude", c.exclude);
+    for (const MaterialTexture& texture : c.textures)
+        add("texture", texture.material + "=" + texture.image);
     addNumber("hair-width", c.hairWidth);
     addNumber("hair-tip-width", c.hairTipWidth);
     addNumber("hair-opacity", c.hairOpacity);

@@ -42,6 +42,7 @@ struct CasterFile {
     // Meshes: see MeshFileOptions.
     std::optional<float> opacity;
     std::vector<std::string> include, exclude;
+    std::vector<MaterialTexture> textures;
 
     // Strands: see HairFileOptions.
     std::optional<float> hairWidth, hairTipWidth, hairOpacity;

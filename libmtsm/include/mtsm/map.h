@@ -133,7 +133,7 @@ struct MapInfo {
     bool castersClipped =
         false;                  ///< some caster reached out of the window: see QueryStats
     std::uint64_t samples = 0;  ///< samples that the casters gave
-    std::uint64_t samplesDropped = 0;  ///< of those, not kept because of maxLayers
+    std::uint64_t samplesDropped = 0;  ///< of those, lost to maxLayers or resets
     std::string software;              ///< name and version of what wrote the map
     std::string settings;  ///< the settings that made it, as the writer spells them
     std::vector<Attribute> attributes;

@@ -114,6 +114,10 @@ class CasterSource {
 struct MaterialTexture {
     std::string material;  ///< shell pattern, matched against whole names
     std::string image;     ///< path, as the process sees it; empty: no texture
+
+    friend bool operator==(const MaterialTexture& a, const MaterialTexture& b) noexcept {
+        return a.material == b.material && a.image == b.image;
+    }
 };
 
 struct MeshFileOptions {
