@@ -40,6 +40,7 @@ std::uint64_t fixedBytes(const BakeOptions& o) {
     const std::uint64_t tiles =
         ((o.width + side - 1) / side) * ((o.height + side - 1) / side);
     std::uint64_t bytes = tiles * (sizeof(Tile) + sizeof(raster::KTile));
+    if (!o.keepHidden && !o.cube) bytes += std::uint64_t(7) * o.width * o.height;
     std::uint64_t width = o.width, height = o.height;
     while (width > 1 || height > 1) {
         width = (width + 1) / 2;
@@ -92,7 +93,6 @@ void add(const Face& face, bool first, MapInfo& info, BakeReport& report) {
     report.rasterSeconds += face.rasterSeconds;
     report.compressSeconds += face.compressSeconds;
     report.passes = first ? face.passes : report.passes + face.passes;
-    report.voxels += face.casters.voxels;
     if (!first) return;
     report.meshes = face.casters.meshes;
     report.triangles = face.casters.triangles;
@@ -100,6 +100,7 @@ void add(const Face& face, bool first, MapInfo& info, BakeReport& report) {
     report.strands = face.casters.strands;
     report.segments = face.casters.segments;
     report.volumes = face.casters.volumes;
+    report.voxels = face.casters.voxels;
     report.degenerate = face.triangles.degenerate;
     report.nonFinite = face.triangles.nonFinite;
     report.culled = face.triangles.culled;
@@ -110,7 +111,13 @@ Status checkOutside(const Face& face, MapInfo& info, BakeReport& report) {
     report.outside = face.triangles.outside;
     report.clipped = face.triangles.clipped;
     info.castersClipped = face.leavesWindow > 0;
-    if (face.samples > 0 || report.strands > 0 || report.volumes > 0) return {};
+    if (face.samples > 0) return {};
+    if (report.strands > 0 || report.volumes > 0)
+        return makeError(ErrorCode::badFile, "nothing casts a shadow: of ",
+                         report.strands, " strands, ", report.volumes, " volumes and ",
+                         report.triangles, " triangles none lets less than all light ",
+                         "through where the light looks, between --near and --far: move ",
+                         "the light or turn it, or check widths, opacities and --fov");
     const std::uint64_t usable = report.triangles - report.transparent -
                                  report.degenerate - report.nonFinite - report.culled;
     if (usable > 0 && usable == face.triangles.behind)
@@ -137,7 +144,8 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
     FaceSettings settings{options};
     settings.triangles = placed->triangles;
     settings.channels = options.color ? 3 : 1;
-    settings.layers = options.layers.value_or(kinds->translucent ? 0 : kOpaqueLayers);
+    const bool surfaces = !kinds->translucent && options.subsamples == 1;
+    settings.layers = options.layers.value_or(surfaces ? kOpaqueLayers : 0);
     settings.bytesLeft = options.maxBytes - fixed;
     const bool nearest =
         !kinds->translucent && options.subsamples == 1 && settings.layers <= kMostNearest;

@@ -11,6 +11,7 @@ Result<CasterKinds> kindsOf(Visits& visits) {
     CasterKinds kinds;
     bool known = false;
     const Status status = visits.each([&](const CasterView& caster) -> Status {
+        if (auto s = visits.progress()("reading casters", -1.0); !s) return s;
         if (const auto* mesh = std::get_if<MeshView>(&caster)) {
             const bool solid = mesh->texture
                                    ? !mesh->texture->translucent()
@@ -18,6 +19,11 @@ Result<CasterKinds> kindsOf(Visits& visits) {
             kinds.translucent = kinds.translucent || !solid;
             return {};
         }
+        const auto* strands = std::get_if<StrandsView>(&caster);
+        const auto* volume = std::get_if<VolumeView>(&caster);
+        if ((strands && strands->strandCount == 0) ||
+            (volume && (volume->blockCount == 0 || volume->extinction == 0.0f)))
+            return {};
         kinds.translucent = kinds.media = known = true;
         return Error{ErrorCode::cancelled, "all is known"};
     });

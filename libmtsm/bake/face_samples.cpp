@@ -20,8 +20,13 @@ using raster::SampleTile;
 /// What subsamples of one pixel meet within so many footprints may be one surface: as
 /// steep as the z threshold bridges between pixels.
 constexpr double kMergeFootprints = 2.0;
-/// Part of the memory that samples may take; the rest is for sorting them.
-constexpr double kSamplesShare = 0.8;
+/// Part of the memory that the samples of a band may take. The rest is for tiles while
+/// they are sorted and compressed, which take up to three times their samples; where a
+/// band has few tiles those are all of it.
+double samplesShare(std::size_t tiles) {
+    constexpr std::size_t kMany = 256;
+    return tiles < kMany ? 0.25 : 0.6;
+}
 
 /// Depth along the view of so many pixel footprints: constant, and growing with z.
 raster::MergeDepth footprints(const Projection& projection, double count) {
@@ -48,7 +53,7 @@ class Drawing {
         if (const auto* mesh = std::get_if<MeshView>(&caster)) return addMesh(*mesh);
         if (const auto* strands = std::get_if<StrandsView>(&caster))
             return strands_.add(*strands);
-        return volumes_.add(std::get<VolumeView>(caster));
+        return addVolume(std::get<VolumeView>(caster));
     }
     Status finish() {
         if (auto s = meshes_.finish(); !s) return s;
@@ -63,8 +68,8 @@ class Drawing {
         face.casters.strands = hair.strands;
         face.casters.segments = hair.segments;
         face.casters.volumes = volumes_.counts().volumes;
-        face.casters.voxels = volumes_.counts().voxels;
-        face.leavesWindow = face.triangles.leavesWindow + hair.leavesWindow;
+        face.leavesWindow = face.triangles.leavesWindow + hair.leavesWindow +
+                            volumes_.counts().leavesWindow;
     }
 
   private:
@@ -74,6 +79,13 @@ class Drawing {
         if (mesh.opacity > 0.0f || mesh.texture) return meshes_.add(mesh);
         casters_.transparent += mesh.triangleCount;
         return {};
+    }
+    Status addVolume(const VolumeView& volume) {
+        const float* const end =
+            volume.density + volume.blockCount * VolumeView::kBlockVoxels;
+        casters_.voxels += std::uint64_t(
+            std::count_if(volume.density, end, [](float d) { return d > 0.0f; }));
+        return volumes_.add(volume);
     }
     /// Between batches: frees what was given up.
     Status tell(std::uint64_t done) {
@@ -130,19 +142,23 @@ Status compress(SampleGrid& grid, const CompressOptions& options,
     std::vector<std::uint64_t> samples(columns);
     for (std::uint32_t ty = grid.firstRow(); ty < grid.endRow(); ++ty) {
         if (auto s = progress(kStage, double(ty) / grid.tilesY()); !s) return s;
-        const auto compressTiles = [&](std::uint32_t begin, std::uint32_t end) {
+        const auto compressTiles = [&](std::uint32_t from, std::uint32_t to) {
             PixelCompressor compressor(options);
-            std::vector<std::uint32_t> first;
-            SampleList list;
-            for (std::uint32_t tx = begin; tx < end; ++tx) {
+            LayerList layers;
+            for (std::uint32_t tx = from; tx < to; ++tx) {
                 SampleTile& tile = grid.tile(tx, ty);
                 reports[tx] = {};
                 samples[tx] = tile.samples();
                 if (tile.empty()) continue;
-                tile.sorted(first, list);
+                layers.clear();
+                std::vector<std::uint32_t> begin(1, 0);
+                tile.forEachPixel([&](std::uint32_t, const PixelSamples& pixel) {
+                    compressor.compress(pixel, layers, reports[tx]);
+                    begin.push_back(std::uint32_t(layers.size()));
+                });
                 tile.clear();
                 face.tiles[std::size_t(ty) * columns + tx] =
-                    compressor.compressTile(first, list, reports[tx]);
+                    makeTile(std::move(begin), layers, options.channels);
             }
         };
         base::parallelRanges(0u, columns, 1u, compressTiles);
@@ -178,9 +194,10 @@ Result<Face> bakeSamples(Visits& visits, const Projection& projection,
     std::uint32_t rows = tileRows;  // of a band
     for (std::uint32_t row = 0; row < tileRows; ++face.passes) {
         if (layerBytes >= settings.bytesLeft) return tooLarge(options);
-        const auto limit =
-            std::uint64_t(kSamplesShare * double(settings.bytesLeft - layerBytes));
-        SampleGrid grid(shape, row, std::min(tileRows, row + rows), limit);
+        const std::uint32_t end = std::min(tileRows, row + rows);
+        const double share = samplesShare(std::size_t(end - row) * tiles(shape.width));
+        const auto limit = std::uint64_t(share * double(settings.bytesLeft - layerBytes));
+        SampleGrid grid(shape, row, end, limit);
         const WorkClock clock(visits);
         const Status drawn = draw(visits, projection, settings, grid, face);
         face.rasterSeconds += clock.seconds();
@@ -194,7 +211,8 @@ Result<Face> bakeSamples(Visits& visits, const Projection& projection,
         if (auto s = compress(grid, compression, visits.progress(), layerBytes, face); !s)
             return s.error();
         face.compressSeconds += compressClock.seconds();
-        row = grid.endRow();
+        row += rows;
+        rows *= 2;  // what comes may be sparser
     }
     --face.passes;
     face.samplesDropped =

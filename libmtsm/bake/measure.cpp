@@ -126,7 +126,13 @@ Extent measureStrands(const StrandsView& view, const Projection& frame,
             if (!(usable(a) && usable(b))) continue;
             const double width =
                 view.widths ? std::max(view.widths[i], view.widths[i + 1]) : view.width;
-            const glm::dvec3 side(0.5 * scale * width, 0.5 * scale * width, 0.0);
+            // Off the axis a ribbon that faces the eye is wider, and twice that in a
+            // bend.
+            double half = scale * width;
+            if (depths.perspective)
+                half *= std::max(glm::length(a) / std::abs(a.z),
+                                 glm::length(b) / std::abs(b.z));
+            const glm::dvec3 side(half, half, 0.0);
             const glm::dvec3 other(side.x, -side.y, 0.0);
             if (!(width > 0.0 && std::isfinite(side.x))) continue;
             for (const glm::dvec3 d : {side, other}) {

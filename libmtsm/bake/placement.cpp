@@ -340,6 +340,21 @@ Result<Placement> placeSun(Visits& visits, const BakeOptions& options) {
     return placed;
 }
 
+Status checkSampling(const BakeOptions& o) {
+    if (o.subsamples != 1 && o.subsamples != 2 && o.subsamples != 4 && o.subsamples != 8)
+        return invalid("--subsamples ", o.subsamples, " must be 1, 2, 4 or 8");
+    const std::uint32_t most = kMaxResolution / o.subsamples;
+    if (o.width > most || o.height > most)
+        return invalid("--resolution ", o.width, "x", o.height, " with --subsamples ",
+                       o.subsamples, ": each side must be at most ", most);
+    if (!(o.tolerance >= 0.0f && o.tolerance <= 1.0f))
+        return invalid("--tolerance ", o.tolerance, " must be in [0, 1]");
+    if (!(o.layerOpticalDepth >= 0.0f && o.layerLength >= 0.0f))
+        return invalid("layerOpticalDepth ", o.layerOpticalDepth, " and layerLength ",
+                       o.layerLength, " must not be negative");
+    return {};
+}
+
 }  // namespace
 
 Error nothingCasts(const BakeReport& r) {
@@ -359,8 +374,9 @@ Status checkOptions(const BakeOptions& o) {
         o.height > kMaxResolution)
         return invalid("--resolution ", o.width, "x", o.height,
                        ": each side must be 1 to ", kMaxResolution);
-    if (o.layers && (*o.layers < 1 || *o.layers > 64))
-        return invalid("--layers ", *o.layers, " must be 1 to 64");
+    if (o.layers && (*o.layers < 1 || *o.layers > kMaxPixelLayers))
+        return invalid("--layers ", *o.layers, " must be 1 to ", kMaxPixelLayers);
+    if (auto s = checkSampling(o); !s) return s;
     if (o.fov && o.light.shape == LightShape::sun)
         return invalid("--fov: a sun's rays are parallel and have no field of view");
     if (o.fov && !(*o.fov >= kLeastFov && *o.fov < glm::pi<double>()))

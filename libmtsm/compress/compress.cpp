@@ -38,7 +38,6 @@ struct PixelCompressor::Workspace {
     compress::Merger merger;
     compress::Visibility samples;
     std::vector<Span> layers;
-    LayerList tile;
 };
 
 PixelCompressor::PixelCompressor(const CompressOptions& options)
@@ -77,24 +76,11 @@ void PixelCompressor::compress(const PixelSamples& samples, LayerList& layers,
     }
 }
 
-Tile PixelCompressor::compressTile(const std::vector<std::uint32_t>& begin,
-                                   const SampleList& samples, CompressReport& report) {
-    LayerList& layers = workspace_->tile;
-    const std::uint32_t channels = workspace_->options.channels;
-    layers.clear();
-    Tile tile;
-    tile.begin.push_back(0);
-    for (std::size_t p = 0; p + 1 < begin.size(); ++p) {
-        PixelSamples pixel;
-        pixel.count = begin[p + 1] - begin[p];
-        pixel.z = samples.z.data() + begin[p];
-        for (std::uint32_t c = 0; c < channels; ++c)
-            pixel.opacity[c] = samples.opacity[c].data() + begin[p];
-        compress(pixel, layers, report);
-        tile.begin.push_back(std::uint32_t(layers.size()));
-    }
+Tile makeTile(std::vector<std::uint32_t> begin, const LayerList& layers,
+              std::uint32_t channels) {
     if (layers.size() == 0) return {};
-
+    Tile tile;
+    tile.begin = std::move(begin);
     tile.z = layers.z;
     bool opaque = true;
     for (std::uint32_t c = 0; c < channels; ++c)

@@ -260,6 +260,10 @@ class Seen {
         // A ray's threshold is that of its depth, which is at most so far behind zMax.
         const double end = zMax * (1.0 + 0x1p-20) + base + perDepth * zMax;
         bias_ = base + perDepth * end;
+        // In front of the first opaque layer of a pixel a ray may begin where surfaces do
+        // not count yet but media do (five thresholds and one footprint from a receiver
+        // without a normal): what is that close behind a wall stays.
+        margin_ = (info.translucent == Translucent::media ? 8.0 : 2.0) * bias_;
     }
 
     [[nodiscard]] bool usable() const noexcept { return rays_.usable(); }
@@ -286,13 +290,13 @@ class Seen {
         // The window holds rays as far as its nearest wall, which may lie in the part
         // that is added.
         double to = walls_.at(x, y);
-        for (int grown = 0; grown < 8 && nearest > to + 2.0 * bias_; ++grown) {
+        for (int grown = 0; grown < 8 && nearest > to + margin_; ++grown) {
             const auto window = rays_.reach(x, y, furthest + bias_, to);
             if (!window || window->x0 < 0.0 || window->y0 < 0.0 ||
                 window->x1 >= info_.width || window->y1 >= info_.height)
                 return false;
             const ZRange range = walls_.range(*window);
-            if (!(nearest > double(range.max) + 2.0 * bias_)) return false;
+            if (!(nearest > double(range.max) + margin_)) return false;
             if (range.min >= to) return true;
             to = range.min;
         }
@@ -302,7 +306,7 @@ class Seen {
     const MapInfo& info_;
     Rays rays_;
     Walls walls_;
-    double bias_ = 0.0;
+    double bias_ = 0.0, margin_ = 0.0;
 };
 
 /// Leaves the first kept[p] layers of each pixel.

@@ -24,21 +24,57 @@ struct Sample {
 
 /// What some subsamples of a pixel met of one surface.
 struct Surface {
-    float front = 0.0f;            // depth of the first
-    std::uint64_t met = 0;         // a bit for each subsample
-    double weight = 0.0, z = 0.0;  // z: sum of weight times depth
-    std::array<double, 3> opacity{};
+    float front = 0.0f;                    // depth of the first
+    std::uint32_t first = 0, end = 0;      // its hits, once they are in order
+    double weight = 0.0, weightedZ = 0.0;  // opacities, and opacities times depths
+};
+
+/// A subsample's sample.
+struct Hit {
+    std::size_t surface = 0;
+    std::uint8_t subsample = 0;
+    std::array<float, 3> opacity{};
 };
 
 /// Makes one pixel's samples of subsamples samples of the pixel.
 class SubsampleMerge {
   public:
-    SubsampleMerge(std::uint32_t subsamples, MergeDepth merge)
-        : share_(1.0 / (double(subsamples) * subsamples)), merge_(merge) {}
+    SubsampleMerge(std::uint32_t subsamples, std::uint32_t channels, MergeDepth merge)
+        : rays_(std::size_t(subsamples) * subsamples),
+          channels_(channels),
+          merge_(merge) {}
 
     /// `samples` sorted; replaced by the result, sorted.
     void operator()(std::vector<Sample>& samples) {
+        const std::size_t kept = group(samples);
+        samples.resize(kept);
+        std::stable_sort(hits_.begin(), hits_.end(), [](const Hit& a, const Hit& b) {
+            return a.surface < b.surface;
+        });
+        for (std::uint32_t i = 0; i < hits_.size(); ++i) {
+            Surface& surface = surfaces_[hits_[i].surface];
+            if (surface.end == 0) surface.first = i;
+            surface.end = i + 1;
+        }
+        std::stable_sort(surfaces_.begin(), surfaces_.end(),
+                         [](const Surface& a, const Surface& b) {
+                             return a.weightedZ * b.weight < b.weightedZ * a.weight;
+                         });
+        for (auto& left : left_)
+            left.fill(1.0);
+        for (const Surface& surface : surfaces_)
+            emit(surface, samples);
+        std::sort(samples.begin(), samples.end());
+    }
+
+  private:
+    /// Sorts the hits of subsamples into surfaces: one joins the first surface within
+    /// reach that its subsample has not met yet. Samples of the whole pixel move to the
+    /// front of `samples`; returns their number.
+    std::size_t group(std::vector<Sample>& samples) {
         surfaces_.clear();
+        hits_.clear();
+        next_.fill(0);
         std::size_t open = 0, kept = 0;  // surfaces before `open` are out of reach
         for (const Sample& s : samples) {
             if (s.subsample == SampleTile::kWholePixel) {
@@ -48,40 +84,56 @@ class SubsampleMerge {
             while (open < surfaces_.size() &&
                    double(s.z) - surfaces_[open].front > reach(surfaces_[open].front))
                 ++open;
-            const std::uint64_t bit = std::uint64_t(1) << s.subsample;
-            std::size_t i = open;
-            while (i < surfaces_.size() && (surfaces_[i].met & bit))
-                ++i;
-            if (i == surfaces_.size()) surfaces_.push_back({s.z, 0, 0.0, 0.0, {}});
-            join(surfaces_[i], s, bit);
+            std::size_t& next = next_[s.subsample];
+            const std::size_t i = std::max(open, next);
+            next = i + 1;
+            if (i == surfaces_.size()) surfaces_.push_back({s.z, 0, 0, 0.0, 0.0});
+            const double weight = double(s.opacity[0]) + s.opacity[1] + s.opacity[2];
+            surfaces_[i].weight += weight;
+            surfaces_[i].weightedZ += weight * s.z;
+            hits_.push_back({i, s.subsample, s.opacity});
         }
-        samples.resize(kept);
-        for (const Surface& s : surfaces_) {
-            Sample sample;
-            sample.z = float(s.z / s.weight);
-            for (std::size_t c = 0; c < 3; ++c)
-                sample.opacity[c] = float(std::min(1.0, s.opacity[c] * share_));
-            samples.push_back(sample);
-        }
-        std::sort(samples.begin(), samples.end());
+        return kept;
     }
 
-  private:
+    /// A surface stops what its hits take of what the subsamples have left, so that the
+    /// product over the surfaces is the mean over the subsamples. Once none has anything
+    /// left all start again, as layers do.
+    void emit(const Surface& surface, std::vector<Sample>& samples) {
+        Sample sample;
+        sample.z = float(surface.weightedZ / surface.weight);
+        bool some = false, dark = true;
+        for (std::size_t c = 0; c < channels_; ++c) {
+            const double before = sum(c);
+            for (std::uint32_t i = surface.first; i < surface.end; ++i)
+                left_[hits_[i].subsample][c] *= 1.0 - double(hits_[i].opacity[c]);
+            const double after = sum(c);
+            sample.opacity[c] =
+                before > 0.0 ? float(std::clamp(1.0 - after / before, 0.0, 1.0)) : 0.0f;
+            some = some || sample.opacity[c] > 0.0f;
+            dark = dark && after <= 0.0;
+        }
+        if (some) samples.push_back(sample);
+        if (!dark) return;
+        for (auto& left : left_)
+            left.fill(1.0);
+    }
+    [[nodiscard]] double sum(std::size_t channel) const {
+        double total = 0.0;
+        for (std::size_t ray = 0; ray < rays_; ++ray)
+            total += left_[ray][channel];
+        return total;
+    }
     [[nodiscard]] double reach(float z) const {
         return merge_.base + merge_.perDepth * z;
     }
-    static void join(Surface& surface, const Sample& s, std::uint64_t bit) {
-        const double weight = double(s.opacity[0]) + s.opacity[1] + s.opacity[2];
-        surface.met |= bit;
-        surface.weight += weight;
-        surface.z += weight * s.z;
-        for (std::size_t c = 0; c < 3; ++c)
-            surface.opacity[c] += s.opacity[c];
-    }
 
-    double share_;
+    std::size_t rays_, channels_;
     MergeDepth merge_;
     std::vector<Surface> surfaces_;
+    std::vector<Hit> hits_;
+    std::array<std::size_t, 64> next_{};            // surface that a subsample may join
+    std::array<std::array<double, 3>, 64> left_{};  // [subsample][channel]
 };
 
 }  // namespace
@@ -100,7 +152,8 @@ bool SampleTile::grow() {
     if (row_ >= end || shared.overrun.load(kRelaxed)) return false;
     const std::uint64_t bytes = chunkBytes();
     const std::uint64_t used = shared.used.fetch_add(bytes, kRelaxed) + bytes;
-    if (used > shared.limit) {
+    constexpr std::uint32_t kMost = 0xffffffffu - kChunk;  // samples_ must not wrap
+    if (used > shared.limit || samples_ > kMost) {
         shared.overrun.store(true, kRelaxed);
         return false;
     }
@@ -111,43 +164,44 @@ bool SampleTile::grow() {
     return true;
 }
 
-void SampleTile::sorted(std::vector<std::uint32_t>& begin, SampleList& samples) const {
-    // Grouped by pixel: a counting sort.
-    begin.assign(std::size_t(pixels_) + 1, 0);
-    const auto forEach = [&](auto&& visit) {
-        for (std::uint64_t i = 0; i < samples_; ++i) {
-            const Chunk chunk(chunks_[i / kChunk].get(), *shared_);
-            visit(chunk, std::uint32_t(i % kChunk));
-        }
-    };
-    forEach([&](const Chunk& chunk, std::uint32_t i) { ++begin[chunk.pixel[i] + 1u]; });
+void SampleTile::forEachPixel(
+    const std::function<void(std::uint32_t, const PixelSamples&)>& visit) const {
+    // Grouped by pixel: a counting sort of their numbers.
+    std::vector<std::uint32_t> begin(std::size_t(pixels_) + 1, 0);
+    for (std::uint32_t i = 0; i < samples_; ++i)
+        ++begin[chunkOf(i).pixel[i % kChunk] + 1u];
     for (std::uint32_t p = 0; p < pixels_; ++p)
         begin[p + 1] += begin[p];
-    std::vector<Sample> all(samples_);
-    std::vector<std::uint32_t> next(begin.begin(), begin.end() - 1);
-    forEach([&](const Chunk& chunk, std::uint32_t i) {
-        Sample& s = all[next[chunk.pixel[i]]++];
-        s.z = chunk.z[i];
-        for (std::uint32_t c = 0; c < shared_->channels; ++c)
-            s.opacity[c] = chunk.opacity[c * kChunk + i];
-        if (chunk.subsample) s.subsample = chunk.subsample[i];
-    });
+    std::vector<std::uint32_t> order(samples_), next(begin.begin(), begin.end() - 1);
+    for (std::uint32_t i = 0; i < samples_; ++i)
+        order[next[chunkOf(i).pixel[i % kChunk]]++] = i;
 
-    samples.clear();
-    SubsampleMerge merge(shared_->subsamples, shared_->merge);
+    SubsampleMerge merge(shared_->subsamples, shared_->channels, shared_->merge);
     std::vector<Sample> pixel;
-    for (std::uint32_t p = 0, first = 0; p < pixels_; ++p) {
-        const std::uint32_t end = begin[p + 1];
-        pixel.assign(all.begin() + first, all.begin() + end);
+    SampleList list;
+    for (std::uint32_t p = 0; p < pixels_; ++p) {
+        pixel.clear();
+        for (std::uint32_t k = begin[p]; k < begin[p + 1]; ++k) {
+            const Chunk chunk = chunkOf(order[k]);
+            const std::uint32_t i = order[k] % kChunk;
+            Sample& s = pixel.emplace_back();
+            s.z = chunk.z[i];
+            for (std::uint32_t c = 0; c < shared_->channels; ++c)
+                s.opacity[c] = chunk.opacity[c * kChunk + i];
+            if (chunk.subsample) s.subsample = chunk.subsample[i];
+        }
         std::sort(pixel.begin(), pixel.end());
         if (shared_->subsamples > 1) merge(pixel);
+        list.clear();
         for (const Sample& s : pixel) {
-            samples.z.push_back(s.z);
+            list.z.push_back(s.z);
             for (std::uint32_t c = 0; c < shared_->channels; ++c)
-                samples.opacity[c].push_back(s.opacity[c]);
+                list.opacity[c].push_back(s.opacity[c]);
         }
-        first = end;
-        begin[p + 1] = std::uint32_t(samples.size());
+        visit(p,
+              {list.z.size(),
+               list.z.data(),
+               {list.opacity[0].data(), list.opacity[1].data(), list.opacity[2].data()}});
     }
 }
 

@@ -4,7 +4,7 @@
 //     SampleGrid grid({width, height}, firstTileRow, endTileRow, limitBytes);
 //     if (grid.wants(ty)) grid.tile(tx, ty).add(pixel, z, &opacity);  // a thread a tile
 //     grid.settle();               // between batches, from one thread
-//     grid.tile(tx, ty).sorted(begin, samples);
+//     grid.tile(tx, ty).forEachPixel(visit);
 //
 // Memory is bounded by giving up rows of tiles: when the samples of all rows do not fit,
 // the lower half of the rows is dropped, and the caller visits its casters again for
@@ -15,6 +15,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -54,9 +55,9 @@ class SampleTile {
     /// that says how much of the whole pixel it stops (strands, volumes).
     void add(std::uint32_t pixel, float z, const float* opacity,
              std::uint8_t subsample = kWholePixel) {
-        const auto i = std::uint32_t(samples_ % kChunk);
+        const std::uint32_t i = samples_ % kChunk;
         if (i == 0 && !grow()) return;
-        const Chunk chunk(chunks_.back().get(), *shared_);
+        const Chunk chunk = chunkOf(samples_);
         chunk.pixel[i] = std::uint16_t(pixel);
         chunk.z[i] = z;
         for (std::uint32_t c = 0; c < shared_->channels; ++c)
@@ -70,12 +71,15 @@ class SampleTile {
     [[nodiscard]] std::uint64_t samples() const noexcept { return samples_; }
     [[nodiscard]] bool empty() const noexcept { return samples_ == 0; }
 
-    /// The samples of every pixel, nearest first (ties in depth: by opacity), as they are
-    /// before compression. What the subsamples of a pixel met becomes samples of the
-    /// pixel: of each surface that they share one, which stops as large a part of the
-    /// light as the subsamples that met it; two hits by the same subsample, or further
-    /// apart than the merge depth, are two surfaces. `begin` is [pixels + 1].
-    void sorted(std::vector<std::uint32_t>& begin, SampleList& samples) const;
+    /// Calls visit(pixel, samples) for every pixel in order, also for those without
+    /// samples. The samples are as they are before compression, nearest first, ties in
+    /// depth by opacity; they are borrowed for the call. What the subsamples of a pixel
+    /// met becomes samples of the pixel: what they met within the merge depth of each
+    /// other is one surface, each subsample meeting it once at most, and its opacity is
+    /// such that the product over the surfaces is the mean over the subsamples at every
+    /// depth. Takes 4 bytes of memory for each sample of the tile.
+    void forEachPixel(
+        const std::function<void(std::uint32_t, const PixelSamples&)>& visit) const;
     /// Drops the samples.
     void clear() noexcept;
 
@@ -96,13 +100,15 @@ class SampleTile {
                             ? reinterpret_cast<std::uint8_t*>(pixel + kChunk)
                             : nullptr) {}
     };
+    [[nodiscard]] Chunk chunkOf(std::uint32_t sample) const noexcept {
+        return {chunks_[sample / kChunk].get(), *shared_};
+    }
     [[nodiscard]] std::size_t chunkBytes() const noexcept;
     bool grow();
 
     std::vector<std::unique_ptr<std::byte[]>> chunks_;
     SampleShared* shared_;
-    std::uint64_t samples_ = 0;
-    std::uint32_t row_, width_, pixels_;
+    std::uint32_t samples_ = 0, row_, width_, pixels_;
 };
 
 class SampleGrid {

@@ -28,6 +28,8 @@ struct VolumeCounts {
     std::uint64_t flat = 0;     ///< of those, skipped: their transform is singular
     std::uint64_t voxels = 0;   ///< crossed, of density > 0, over all rays
     std::uint64_t samples = 0;  ///< added
+    /// Of the volumes, those whose box reaches out of the window between near and far.
+    std::uint64_t leavesWindow = 0;
 };
 
 class VolumeMarcher {

@@ -55,7 +55,17 @@ TEST_CASE("options out of range are named as the tools spell them", "[bake][bad-
     checkNames(refused([](O& o) { o.width = 0; }), bad, "--resolution 0x32");
     checkNames(refused([](O& o) { o.height = 32769; }), bad, "--resolution 32x32769");
     checkNames(refused([](O& o) { o.layers = 0; }), bad, "--layers 0");
-    checkNames(refused([](O& o) { o.layers = 65; }), bad, "--layers 65");
+    checkNames(refused([](O& o) { o.layers = (1u << 20) + 1; }), bad, "--layers 1048577");
+    for (const std::uint32_t s : {0u, 3u, 16u})
+        checkNames(refused([&](O& o) { o.subsamples = s; }), bad, "--subsamples");
+    checkNames(refused([](O& o) {
+                   o.subsamples = 8;
+                   o.width = 8192;
+               }),
+               bad, "at most 4096");
+    for (const float t : {-0.1f, 1.5f, float(kNan)})
+        checkNames(refused([&](O& o) { o.tolerance = t; }), bad, "--tolerance");
+    checkNames(refused([](O& o) { o.layerLength = float(kNan); }), bad, "layerLength");
     checkNames(refused([](O& o) { o.fov = 0.0; }), bad, "--fov 0");
     checkNames(refused([](O& o) { o.fov = 3.1415926535897932; }), bad, "--fov 180");
     checkNames(refused([](O& o) { o.fov = kNan; }), bad, "--fov nan");

@@ -235,7 +235,7 @@ TEST_CASE("bands that memory makes do not change the map", "[bake]") {
     o.width = o.height = 256;
     BakeReport whole, banded;
     const ShadowMap a = mustBake(casters, o, &whole);
-    o.maxBytes = 12u << 20;
+    o.maxBytes = 28u << 20;
     const ShadowMap b = mustBake(casters, o, &banded);
     CHECK(whole.passes == 1);
     CHECK(banded.passes > 1);

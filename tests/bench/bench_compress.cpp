@@ -7,6 +7,7 @@
 #include <string>
 
 #include "bumpy_mesh.h"
+#include "compress/compress_tile.h"
 #include "compress/hidden.h"
 #include "compress/pixels.h"
 #include "compress/simplify.h"
@@ -93,12 +94,11 @@ void compressTile(benchmark::State& state) {
         options.opticalDepth = HUGE_VALF;
     else
         options.lengthBase = kLength;
-    PixelCompressor compressor(options);
     Tile tile;
     CompressReport report;
     for (auto _ : state) {
         report = {};
-        tile = compressor.compressTile(pixels.begin, pixels.samples, report);
+        tile = test::compressTile(options, pixels.begin, pixels.samples, report);
         benchmark::DoNotOptimize(tile);
     }
     const double samples = double(pixels.samples.size());

@@ -5,6 +5,7 @@
 #include <string>
 #include <utility>
 
+#include "compress/compress_tile.h"
 #include "compress/pixels.h"
 #include "map_fixture.h"
 #include "trace/traverse.h"
@@ -520,8 +521,8 @@ TEST_CASE("a tile holds its pixels' layers and no plane that says nothing",
             begin.push_back(std::uint32_t(all.size()));
         }
         CompressReport report;
-        return PixelCompressor(options).compressTile(begin, planes(all, options.channels),
-                                                     report);
+        return mtsm::test::compressTile(options, begin, planes(all, options.channels),
+                                        report);
     };
     CompressOptions options;
     CHECK(tileOf({{}, {}}, options).begin.empty());

@@ -19,16 +19,13 @@ inline std::vector<Pixel> content(raster::SampleGrid& grid) {
     for (std::uint32_t ty = grid.firstRow(); ty < grid.endRow(); ++ty) {
         for (std::uint32_t tx = 0; tx < grid.tilesX(); ++tx) {
             const raster::SampleTile& tile = grid.tile(tx, ty);
-            std::vector<std::uint32_t> begin;
-            SampleList samples;
-            tile.sorted(begin, samples);
-            for (std::uint32_t p = 0; p < tile.pixels(); ++p) {
+            tile.forEachPixel([&](std::uint32_t p, const PixelSamples& samples) {
                 const std::uint32_t x = tx * 64 + p % tile.width();
                 const std::uint32_t y = ty * 64 + p / tile.width() - first;
-                for (std::uint32_t i = begin[p]; i < begin[p + 1]; ++i)
+                for (std::size_t i = 0; i < samples.count; ++i)
                     pixels[std::size_t(y) * grid.width() + x].samples.emplace_back(
                         samples.z[i], samples.opacity[0][i]);
-            }
+            });
         }
     }
     return pixels;

@@ -63,7 +63,8 @@ TEST_CASE("surfaces apart in depth, or hit twice by one subsample, stay two",
     OnePixel apart;
     for (std::uint8_t i = 0; i < 4; ++i)
         apart.add(i < 2 ? 1.0f : 1.6f, 1.0f, i);
-    CHECK(apart.samples() == Samples{{1.0f, 0.5f}, {1.6f, 0.5f}});
+    // The second stops all that the first has left.
+    CHECK(apart.samples() == Samples{{1.0f, 0.5f}, {1.6f, 1.0f}});
 
     OnePixel twice;  // two parallel sheets, tilted, that interleave in depth
     for (std::uint8_t i = 0; i < 4; ++i) {
@@ -87,25 +88,48 @@ TEST_CASE("samples of the whole pixel pass by the merge", "[raster]") {
     CHECK(pixel.samples() == Samples{{1.0f, 1.0f}, {1.1f, 0.125f}, {1.1f, 0.125f}});
 }
 
-TEST_CASE("what the subsamples stop in sum is what their samples stop", "[raster]") {
-    for (std::uint64_t seed = 0; seed < 50; ++seed) {
+TEST_CASE("the product over a pixel's samples is the mean over its subsamples",
+          "[raster][exact]") {
+    for (std::uint64_t seed = 0; seed < 200; ++seed) {
         Random random(seed);
         OnePixel pixel;
-        double sum = 0.0;
-        for (int i = 0; i < 40; ++i) {
-            const auto opacity = float(random.in(0.01, 1.0));
-            pixel.add(float(random.in(1.0, 4.0)), opacity, std::uint8_t(random.below(4)));
-            sum += opacity / 4.0;
+        double left[4] = {1, 1, 1, 1};
+        const std::size_t count = 1 + random.below(30);
+        for (std::size_t i = 0; i < count; ++i) {
+            // Not opaque: a subsample that is dark starts again with the pixel.
+            const auto opacity = float(random.in(0.01, 0.9));
+            const std::size_t ray = random.below(4);
+            pixel.add(float(random.in(1.0, 4.0)), opacity, std::uint8_t(ray));
+            left[ray] *= 1.0 - double(opacity);
         }
-        double found = 0.0;
+        double product = 1.0;
         float before = 0.0f;
         for (const auto& [z, opacity] : pixel.samples()) {
-            found += opacity;
+            product *= 1.0 - double(opacity);
             CHECK(z >= before);
             before = z;
         }
-        CHECK(found == Approx(sum));
+        CHECK(product ==
+              Approx((left[0] + left[1] + left[2] + left[3]) / 4).epsilon(1e-5));
     }
+}
+
+TEST_CASE("a wall too steep to be one surface still lets nothing through",
+          "[raster][exact]") {
+    OnePixel pixel;
+    for (std::uint8_t i = 0; i < 4; ++i)
+        pixel.add(1.0f + 2.0f * float(i), 1.0f, i);
+    double product = 1.0;
+    for (const auto& [z, opacity] : pixel.samples())
+        product *= 1.0 - double(opacity);
+    CHECK(product == 0.0);
+}
+
+TEST_CASE("a hundred thousand sheets within reach are merged in good time", "[raster]") {
+    OnePixel pixel;
+    for (int k = 0; k < 100'000; ++k)
+        pixel.add(1.0f, 1e-6f, std::uint8_t(k % 4));
+    CHECK(pixel.samples().size() == 25'000);
 }
 
 TEST_CASE("when memory runs short the lower rows are given up, the upper ones whole",

@@ -114,19 +114,16 @@ Drawn draw(const Projection& projection, std::uint32_t side,
     REQUIRE(raster.finish());
     Drawn drawn{side, {}, raster.counts()};
     drawn.pixels.resize(std::size_t(side) * side);
-    std::vector<std::uint32_t> begin;
-    SampleList samples;
     for (std::uint32_t ty = firstRow; ty < grid.endRow(); ++ty) {
         for (std::uint32_t tx = 0; tx < tiles; ++tx) {
             const SampleTile& tile = grid.tile(tx, ty);
-            tile.sorted(begin, samples);
-            for (std::uint32_t p = 0; p < tile.pixels(); ++p) {
+            tile.forEachPixel([&](std::uint32_t p, const PixelSamples& samples) {
                 const std::uint32_t x = tx * 64 + p % tile.width(),
                                     y = ty * 64 + p / tile.width();
-                for (std::uint32_t i = begin[p]; i < begin[p + 1]; ++i)
+                for (std::size_t i = 0; i < samples.count; ++i)
                     drawn.pixels[std::size_t(y) * side + x].push_back(
                         {samples.z[i], samples.opacity[0][i]});
-            }
+            });
         }
     }
     return drawn;

@@ -166,18 +166,15 @@ Marched march(const Projection& projection, const VolumeView& view,
     for (std::uint32_t ty = 0; ty < grid.tilesY(); ++ty)
         for (std::uint32_t tx = 0; tx < grid.tilesX(); ++tx) {
             const SampleTile& tile = grid.tile(tx, ty);
-            std::vector<std::uint32_t> begin;
-            SampleList list;
-            tile.sorted(begin, list);
-            for (std::uint32_t p = 0; p < tile.pixels(); ++p) {
+            tile.forEachPixel([&](std::uint32_t p, const PixelSamples& list) {
                 const std::uint32_t x = tx * 64 + p % tile.width();
                 const std::uint32_t y = ty * 64 + p / tile.width();
-                for (std::uint32_t i = begin[p]; i < begin[p + 1]; ++i) {
+                for (std::size_t i = 0; i < list.count; ++i) {
                     out.pixels[y * kSide + x].emplace_back(list.z[i], list.opacity[0][i]);
                     for (std::uint32_t c = 1; c < channels; ++c)
                         out.channelsAgree &= list.opacity[c][i] == list.opacity[0][i];
                 }
-            }
+            });
         }
     return out;
 }

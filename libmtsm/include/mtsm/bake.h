@@ -64,7 +64,7 @@ struct BakeOptions {
     float layerOpticalDepth = 0.4f, layerLength = 8.0f;
     /// Times that the accumulation of visibility may start again in a pixel.
     std::uint32_t resets = kAllResets;
-    std::uint32_t subsamples = 1;  ///< centre rays per side of a pixel, 1..8
+    std::uint32_t subsamples = 1;  ///< centre rays per side of a pixel: 1, 2, 4 or 8
     /// Three visibility channels, for casters that tint the light.
     bool color = false;
     /// Keeps layers that no point of the light can see. Without, their number is stored
@@ -85,14 +85,14 @@ struct BakeOptions {
 struct BakeReport {
     std::uint64_t meshes = 0, triangles = 0;
     std::uint64_t strands = 0, segments = 0;  ///< of hair
-    std::uint64_t volumes = 0, voxels = 0;
-    std::uint64_t degenerate = 0;   ///< no area, or less than a double resolves
-    std::uint64_t nonFinite = 0;    ///< a vertex is NaN or infinite
-    std::uint64_t culled = 0;       ///< by `cull`
-    std::uint64_t transparent = 0;  ///< left out because their opacity is 0
-    std::uint64_t outside = 0;      ///< wholly outside window, near and far
-    std::uint64_t clipped = 0;      ///< cut by near or far, or reaching out of the window
-    std::uint64_t passes = 1;  ///< times that the casters were rasterised, band by band
+    std::uint64_t volumes = 0, voxels = 0;    ///< voxels with a density
+    std::uint64_t degenerate = 0;             ///< no area, or less than a double resolves
+    std::uint64_t nonFinite = 0;              ///< a vertex is NaN or infinite
+    std::uint64_t culled = 0;                 ///< by `cull`
+    std::uint64_t transparent = 0;            ///< left out because their opacity is 0
+    std::uint64_t outside = 0;                ///< wholly outside window, near and far
+    std::uint64_t clipped = 0;  ///< cut by near or far, or reaching out of the window
+    std::uint64_t passes = 1;   ///< times that the casters were rasterised, band by band
     std::uint64_t droppedByLayers = 0;  ///< samples, because of the cap on layers
     std::uint64_t droppedByResets = 0;  ///< samples behind the last reset
     std::uint64_t droppedHidden = 0;    ///< layers that no point of the light sees

@@ -4,7 +4,9 @@
 //     options.tolerance = 0.005f;
 //     mtsm::PixelCompressor compressor(options);      // one per thread
 //     mtsm::CompressReport report;
-//     mtsm::Tile tile = compressor.compressTile(begin, samples, report);
+//     mtsm::LayerList layers;
+//     for (pixel : samples) compressor.compress(pixel, layers, report);
+//     mtsm::Tile tile = mtsm::makeTile(begin, layers, options.channels);
 //
 // V(z) is the visibility behind depth z: the product of (1 - opacity) over the samples up
 // to z since the last reset, per channel, in double. V'(z) is what a reader of the layers
@@ -112,14 +114,14 @@ class PixelCompressor {
     /// logarithm.
     void compress(const PixelSamples& samples, LayerList& layers, CompressReport& report);
 
-    /// The layers of a tile whose pixel p has samples [begin[p], begin[p + 1]); `begin`
-    /// is [pixels + 1]. Planes that say nothing are left out. Empty if there is no layer.
-    [[nodiscard]] Tile compressTile(const std::vector<std::uint32_t>& begin,
-                                    const SampleList& samples, CompressReport& report);
-
   private:
     struct Workspace;
     std::unique_ptr<Workspace> workspace_;
 };
+
+/// The tile whose pixel p has layers [begin[p], begin[p + 1]); `begin` is [pixels + 1].
+/// Planes that say nothing are left out. Empty if there is no layer.
+[[nodiscard]] Tile makeTile(std::vector<std::uint32_t> begin, const LayerList& layers,
+                            std::uint32_t channels);
 
 }  // namespace mtsm

@@ -54,8 +54,8 @@ struct MeshView {
 /// 1 - opacity of it, has been tinted as much as there was to pass through. A white tint
 /// makes all three `opacity`.
 [[nodiscard]] inline glm::vec3 channelOpacity(float opacity, glm::vec3 tint) noexcept {
-    const glm::vec3 white(1.0f);
-    return white - (1.0f - opacity) * (white - opacity * (white - tint));
+    // 1 - (1 - a)(1 - a (1 - tint)), so that small opacities stay what they are.
+    return glm::vec3(opacity) + opacity * (1.0f - opacity) * (glm::vec3(1.0f) - tint);
 }
 
 /// Strands of hair, fur or grass: lines of points with a width. Pointers are borrowed.
