@@ -2,11 +2,10 @@
 // harm is has a closed form, since a layer's samples lie behind those of the one before.
 //
 // A pixel of very many layers is coarsened first, in passes of linear time that merge
-// disjoint pairs: each less harmful than its neighbours, and than half of all pairs. What
-// they merge is what would have been merged anyhow, but for few.
+// disjoint pairs: each less harmful than its neighbours. What they merge is what would
+// have been merged anyhow, but for few.
 #include "compress/merge.h"
 
-#include <array>
 #include <bit>
 #include <limits>
 
@@ -19,6 +18,7 @@ constexpr double kDarkDepth = 88.0;
 constexpr std::uint32_t kNever = ~0u;         ///< Key of what cannot be merged
 constexpr std::uint32_t kBridges = 1u << 31;  ///< of a Key
 constexpr std::uint64_t kNoPair = ~0ull;
+constexpr double kNotZero = 1e-300;  // to divide by
 
 double depthBetween(float before, float after) {
     if (before <= 0.0f) return 0.0;
@@ -33,7 +33,6 @@ double depthBetween(float before, float after) {
 
 /// Integral of |f| over a piece of this length on which f is linear.
 double area(double f0, double f1, double length) {
-    constexpr double kNotZero = 1e-300;
     const double sum = std::abs(f0) + std::abs(f1) + kNotZero;
     return 0.5 * (f0 * f0 + f1 * f1 + std::max(0.0, 2.0 * f0 * f1)) / sum * length;
 }
@@ -59,12 +58,11 @@ double transport(const Spread& a, const Spread& b, double step) {
     sum += a.depth * (begun - aLast) +
            area(slope * (begun - step) - a.depth, atGap, bFirst - begun);
     // The piece of a, and what the whole has in front of it.
-    const double low = std::clamp(step, aFirst, aLast);
+    const double low = std::min(std::max(step, aFirst), aLast);
     const double ahead = slope * (low - std::min(low, step));
     sum += 0.5 * ahead * (aFirst - std::min(aFirst, step));
     if (a.n == 1.0) return sum;
-    const double behind =
-        low > aFirst ? a.depth * (low - aFirst) / (aLast - aFirst) : 0.0;
+    const double behind = a.depth * (low - aFirst) / std::max(aLast - aFirst, kNotZero);
     const double atLast = slope * (aLast - std::min(aLast, step)) - a.depth;
     return sum + 0.5 * behind * (low - aFirst) +
            area(ahead - behind, atLast, aLast - low);
@@ -154,8 +152,8 @@ void Merger::makeNodes(const Visibility& samples, const std::vector<Span>& layer
     }
 }
 
-/// Merges pairs that are less harmful than their neighbours and than half of all, in
-/// passes over the nodes, until `target` are left or few respect gaps.
+/// Merges pairs that are less harmful than their neighbours, in passes over the nodes,
+/// until `target` are left or few respect gaps.
 void Merger::coarsen(std::size_t target) {
     constexpr std::size_t kFewest = 16;  // of so many nodes one has to go
     std::size_t before = 0;
@@ -164,11 +162,11 @@ void Merger::coarsen(std::size_t target) {
         keys_.resize(before);
         for (std::size_t i = 0; i + 1 < before; ++i)
             keys_[i] = quickKey(nodes_[i], nodes_[i + 1]);
-        keys_[before - 1] = kNever;
-        const Key most = std::min(usual(), kBridges - 1);
+        keys_.back() = kNever;
         std::size_t kept = 0, surplus = before - target;
         for (std::size_t i = 0; i < before; ++i) {
-            const bool least = keys_[i] <= most && (i == 0 || keys_[i] <= keys_[i - 1]) &&
+            const bool least = keys_[i] < kBridges &&
+                               (i == 0 || keys_[i] <= keys_[i - 1]) &&
                                keys_[i] <= keys_[i + 1];
             if (least && surplus > 0) {
                 absorb(nodes_[i], nodes_[i + 1]);
@@ -179,15 +177,6 @@ void Merger::coarsen(std::size_t target) {
         }
         nodes_.resize(kept);
     } while (nodes_.size() > target && nodes_.size() < before - before / kFewest);
-}
-
-/// About the median of keys_.
-Merger::Key Merger::usual() const {
-    std::array<Key, 31> some{};
-    for (std::size_t i = 0; i < some.size(); ++i)
-        some[i] = keys_[i * (keys_.size() - 1) / some.size()];
-    std::nth_element(some.begin(), some.begin() + some.size() / 2, some.end());
-    return some[some.size() / 2];
 }
 
 /// Merges the pair of least harm until `cap` nodes have samples.

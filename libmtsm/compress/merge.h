@@ -12,7 +12,7 @@ class Merger {
   public:
     /// Pixels of more than kCoarsenAbove caps of layers are coarsened first, until
     /// kCoarsenTo caps are left.
-    static constexpr std::size_t kCoarsenAbove = 3, kCoarsenTo = 3;
+    static constexpr std::size_t kCoarsenAbove = 4, kCoarsenTo = 4;
 
     /// Without `coarsens` the least harm is always looked for among all pairs: the twin.
     explicit Merger(const Bounds& bounds, bool coarsens = true)
@@ -39,7 +39,6 @@ class Merger {
 
     void makeNodes(const Visibility& samples, const std::vector<Span>& layers);
     void coarsen(std::size_t target);
-    [[nodiscard]] Key usual() const;
     void mergeLeast(std::size_t cap);
     [[nodiscard]] Key quickKey(const Node& a, const Node& b) const;
     [[nodiscard]] Key key(const Node& a, const Node& b) const;
