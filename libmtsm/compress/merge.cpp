@@ -7,7 +7,7 @@
 #include "compress/merge.h"
 
 #include <bit>
-#include <limits>
+#include <cfloat>
 
 namespace mtsm::compress {
 namespace {
@@ -246,7 +246,9 @@ Merger::Key Merger::ordered(const Node& a, const Node& b, double step,
     const double covered =
         a.n * std::min(step, a.step) + b.n * std::min(step, b.step) - step;
     const double mayMove = std::min(0.5 * bounds_.length(b.z), covered);
-    const Key bits = std::bit_cast<Key>(float(harm));
+    // Not below 0, nor beyond a float, by rounding or huge depths.
+    const double finite = std::min(std::max(0.0, harm), double(FLT_MAX));
+    const Key bits = std::bit_cast<Key>(float(finite));
     const Key key = bits | (move(a, b, step) > mayMove ? kBridges : 0u);
     return a.reset || b.reset ? kNever : key;
 }

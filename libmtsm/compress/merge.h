@@ -31,7 +31,8 @@ class Merger {
         std::uint32_t n = 0;            ///< samples; 0: merged into the next node
         std::uint32_t layer = 0;
         std::uint32_t previous = 0, next = 0;
-        bool first = false, reset = false;  ///< of the pixel; merges with none
+        bool first = false;  ///< of the pixel
+        bool reset = false;  ///< merges with none
     };
     /// Orders pairs of neighbours: those that move samples further than the bounds allow
     /// come last, then by harm (optical depth times the distance it is moved).
