@@ -60,7 +60,8 @@ void PixelCompressor::compress(const PixelSamples& samples, LayerList& layers,
     double error = w.simplifier.simplify(w.samples, w.layers);
     if (w.layers.size() > options.layers) {
         report.droppedByLayers += w.merger.merge(w.samples, options.layers, w.layers);
-        error = compress::errorOf(w.samples, w.layers);
+        error = compress::errorOf(w.samples, w.layers, double(options.tolerance),
+                                  double(report.toleranceReached));
         if (error > double(options.tolerance)) ++report.pixelsOverTolerance;
     }
     report.toleranceReached = std::max(report.toleranceReached, float(error));

@@ -155,6 +155,32 @@ void onePixel(benchmark::State& state) {
     state.counters["layers"] = double(layers.size());
 }
 
+/// Hairs that stop up to 0.4 of the light, at random depths, down to a cap; 0 for none.
+/// Arguments: samples per pixel, cap on layers.
+void capped(benchmark::State& state) {
+    Pixels pixels;
+    const auto perPixel = std::uint32_t(state.range(0));
+    for (std::uint64_t seed = 1; pixels.samples.size() < 10 * kSamples; ++seed) {
+        for (const test::Sample& s :
+             test::randomPixel(seed, perPixel, kNear, kNear + 1.0, 0.0, 0.4)) {
+            pixels.samples.z.push_back(s.z);
+            pixels.samples.opacity[0].push_back(s.opacity[0]);
+        }
+        pixels.begin.push_back(std::uint32_t(pixels.samples.size()));
+    }
+    CompressOptions options;
+    options.tolerance = 0.005f;
+    options.layers = std::uint32_t(state.range(1));
+    PixelCompressor compressor(options);
+    for (auto _ : state) {
+        CompressReport report;
+        Tile tile = compressor.compressTile(pixels.begin, pixels.samples, report);
+        benchmark::DoNotOptimize(tile);
+    }
+    state.counters["samples/s"] = benchmark::Counter(
+        double(pixels.samples.size()), benchmark::Counter::kIsIterationInvariantRate);
+}
+
 /// Argument: radius of the light, in percent of the body's; 1024 x 1024, one thread.
 void dropHidden(benchmark::State& state) {
     const test::Mesh body = test::bumpyBody(350'000);
@@ -195,6 +221,10 @@ BENCHMARK(compressTile)
 BENCHMARK(simplify)
     ->ArgNames({"kind", "tolerance", "drift", "bounded"})
     ->ArgsProduct({{0, 2}, {10, 100, 500}, {0, 10, 100, 500, 10000}, {1}})
+    ->Unit(benchmark::kMillisecond);
+BENCHMARK(capped)
+    ->ArgNames({"samples", "cap"})
+    ->ArgsProduct({{20, 100, 440}, {0, 5}})
     ->Unit(benchmark::kMillisecond);
 BENCHMARK(onePixel)
     ->ArgNames({"samples", "tolerance", "cap"})

@@ -100,9 +100,10 @@ struct LayerList {
 /// Where more layers than the cap are left, neighbours are merged, the pair that harms
 /// rays across the centre ray least first (optical depth times the distance it is moved),
 /// beyond the tolerance if it must be. Merges that keep the bound on how far samples move
-/// come before those that do not. Resets are never merged away. If there is no room for
-/// each of them and for one layer between each two, the nearest are kept and the rest is
-/// dropped.
+/// come before those that do not. Pixels of more than four times the cap are brought down
+/// to that first, by merging pairs that harm less than the pairs beside them. Resets are
+/// never merged away. If there is no room for each of them and for one layer between each
+/// two, the nearest are kept and the rest is dropped.
 class PixelCompressor {
   public:
     explicit PixelCompressor(const CompressOptions& options);
