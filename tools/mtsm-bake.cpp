@@ -218,15 +218,18 @@ void addCasterOptions(CLI::App& app, Arguments& a) {
             "may be repeated, the last that matches counts");
 
     addNumber(app, "--hair-width", a.hairWidth, {0.0, kAny}, "W",
-              "full width of all strands at the root, in units of\n"
-              "the scaled file (default: the file's)")
+              "full width of all strands at the root, in world\n"
+              "units; 0 leaves them out (default of .hair: the\n"
+              "file's; of .tfx and OBJ: 1/2000 of the diagonal\n"
+              "around all strands)")
         ->group(hair);
     addNumber(app, "--hair-tip-width", a.hairTipWidth, {0.0, kAny}, "W",
               "at the tip; needs --hair-width (default: the same)")
         ->group(hair);
     addNumber(app, "--hair-opacity", a.hairOpacity, {0.0, 1.0}, "A",
               "part of the light that crosses a strand and is\n"
-              "stopped, 0 to 1 (default: the file's)")
+              "stopped, 0 to 1 (default of .hair: the file's; of\n"
+              ".tfx and OBJ: 1)")
         ->group(hair);
     addNumber(app, "--hair-scale", a.hairScale, {0.0, kAny}, "F",
               "multiplies positions and the file's widths: 0.01 for\n"

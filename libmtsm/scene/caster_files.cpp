@@ -189,8 +189,11 @@ std::unique_ptr<CasterSource> meshSource(const Group& group,
 std::unique_ptr<CasterSource> hairSource(const CasterFile& file,
                                          const CasterFilesOptions& options) {
     HairFileOptions o;
-    o.width = file.hairWidth;
-    o.tipWidth = file.hairTipWidth;
+    // The transform will multiply widths by this.
+    const double grown =
+        std::cbrt(std::abs(glm::determinant(glm::dmat3(file.transform))));
+    if (file.hairWidth) o.width = float(*file.hairWidth / grown);
+    if (file.hairTipWidth) o.tipWidth = float(*file.hairTipWidth / grown);
     o.opacity = file.hairOpacity;
     o.scale = file.hairScale;
     o.warn = options.warn;

@@ -18,6 +18,7 @@
 #include <map>
 #include <optional>
 #include <set>
+#include <sstream>
 #include <string_view>
 
 #include "common/arguments.h"
@@ -30,6 +31,9 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::uintmax_t kMostBytes = std::uintmax_t(16) << 20;
+/// Of a line: each dot of a key makes a table in a table, which toml++ builds, prints and
+/// frees by recursion.
+constexpr std::ptrdiff_t kMostDots = 64;
 
 // --- the keys there are
 // --------------------------------------------------------------------
@@ -374,6 +378,9 @@ class Reader {
         throw Failure{{ErrorCode::badFile, place + ": " + why}};
     }
     [[nodiscard]] toml::table parse() const;
+    void checkDepth(const std::string& bytes) const;
+    /// Refuses texts that C functions would see the beginning of.
+    void checkNoNul(const Key& key, const toml::node& value) const;
     const Key& find(std::string_view table, const toml::key& key) const;
     void readSettings(std::string_view table, const toml::table& content);
     void readCasters(const toml::node& list);
@@ -420,12 +427,34 @@ toml::table Reader::parse() const {
         if (bytes.size() > kMostBytes)
             fail(ErrorCode::badFile, "is longer than 16 MiB: this is no job file");
     }
+    checkDepth(bytes);
     try {
         return toml::parse(bytes);
     } catch (const toml::parse_error& wrong) {
         refuse(place(wrong.source().begin),
                "is not TOML: " + printable(std::string(wrong.description())));
     }
+}
+
+void Reader::checkDepth(const std::string& bytes) const {
+    std::istringstream in(bytes);
+    std::string line;
+    for (std::size_t number = 1; std::getline(in, line); ++number) {
+        const auto dots = std::count(line.begin(), line.end(), '.');
+        if (dots > kMostDots)
+            refuse(path_ + ":" + std::to_string(number),
+                   "found " + std::to_string(dots) + " dots in one line, expected at most " +
+                       std::to_string(kMostDots) +
+                       "; a long list may go over several lines");
+    }
+}
+
+void Reader::checkNoNul(const Key& key, const toml::node& value) const {
+    for (const std::string& text : texts(value))
+        if (text.find('\0') != std::string::npos)
+            refuse(place(value), std::string(key.name) +
+                                     ": found a text with a NUL character (\\u0000), "
+                                     "expected one without");
 }
 
 const Key& Reader::find(std::string_view table, const toml::key& key) const {
@@ -442,6 +471,7 @@ void Reader::readSettings(std::string_view table, const toml::table& content) {
                                        key.str()) != std::end(kTables);
         if (table.empty() && isTable) continue;
         const Key& known = find(table, key);
+        checkNoNul(known, value);
         auto spelling = spell(known.form, value);
         if (!spelling) refuseValue(known, value);
         if (known.form == Form::path) spelling = resolved(*spelling);
@@ -515,6 +545,7 @@ void Reader::setCaster(CasterFile& c, const Key& key, const toml::node& value) c
                       : key.form == Form::textures ? !textures(value).empty()
                                                    : word && !word->get().empty();
     if (!good) refuseValue(key, value);
+    checkNoNul(key, value);
     if (key.name == "file") c.path = resolved(word->get());
     if (key.name == "opacity") c.opacity = float(*real);
     if (key.name == "include") c.include = texts(value);
