@@ -540,6 +540,8 @@ BakeOptions bakeOptions(const Arguments& a, const CLI::App& app, const Input& in
 CasterFilesOptions filesOptions(const Arguments& a, Talk& talk) {
     CasterFilesOptions files;
     files.color = a.color;
+    files.importerBytes = std::min(files.importerBytes, 2 * halfOfMemory());
+    files.cacheBytes = halfOfMemory() / 2;
     files.warn = [&talk](const std::string& text) { talk.warn(text); };
     files.progress = [&talk](const std::string& path) {
         return talk.progress("reading " + path, -1.0);

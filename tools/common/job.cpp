@@ -443,7 +443,8 @@ void Reader::checkDepth(const std::string& bytes) const {
         const auto dots = std::count(line.begin(), line.end(), '.');
         if (dots > kMostDots)
             refuse(path_ + ":" + std::to_string(number),
-                   "found " + std::to_string(dots) + " dots in one line, expected at most " +
+                   "found " + std::to_string(dots) +
+                       " dots in one line, expected at most " +
                        std::to_string(kMostDots) +
                        "; a long list may go over several lines");
     }
