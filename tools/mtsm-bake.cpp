@@ -100,6 +100,40 @@ struct Arguments {
     bool color = false, keepHidden = false, quiet = false, json = false;
 };
 
+glm::uvec2 sizeOf(const std::string& resolution) {
+    return parseResolution("--resolution", resolution, kMaxResolution);
+}
+
+std::uint32_t parseResets(const std::string& text) {
+    if (text == "all") return kAllResets;
+    std::uint32_t resets = 0;
+    const char* const end = text.data() + text.size();
+    const auto parsed = std::from_chars(text.data(), end, resets);
+    if (parsed.ec != std::errc() || parsed.ptr != end || resets == kAllResets)
+        throw UsageError("--resets: found \"" + text +
+                         "\", expected a whole number of at least 0, or all");
+    return resets;
+}
+
+std::uint64_t maxBytesOf(const std::string& text) {
+    return parseBytes("--max-memory", text);
+}
+
+/// A text for which `parse` throws no UsageError.
+template <typename Parse>
+CLI::Option* addChecked(CLI::App& app, const std::string& name, std::string& value,
+                        const std::string& form, Parse parse, const std::string& help) {
+    return app
+        .add_option_function<std::string>(
+            name,
+            [&value, parse](const std::string& text) {
+                (void)parse(text);
+                value = text;
+            },
+            help)
+        ->type_name(form);
+}
+
 enum Projections : std::size_t { kFit = 0, kCube = 1 };
 
 void addFileOptions(CLI::App& app, Arguments& a) {
@@ -148,9 +182,9 @@ void addViewOptions(CLI::App& app, Arguments& a) {
     addNumber(app, "--far", a.far, {0.0, kAny}, "Z",
               "keep nothing farther from the light than this")
         ->group(group);
-    addText(app, "--resolution", a.resolution, "N|WxH",
-            "pixels of the map (cube: of a face), 1 to 32768 a\n"
-            "side (default: 1024)")
+    addChecked(app, "--resolution", a.resolution, "N|WxH", sizeOf,
+               "pixels of the map (cube: of a face), 1 to 32768 a\n"
+               "side (default: 1024)")
         ->group(group);
     addWhole(app, "--subsamples", a.subsamples, 1, 8,
              "centre rays per side of a pixel, 1 to 8: 2 makes 4\n"
@@ -179,10 +213,10 @@ void addLayerOptions(CLI::App& app, Arguments& a) {
               "merging samples may bring, 0 to 1; 0 keeps every\n"
               "sample (default: 0.005)")
         ->group(group);
-    addText(app, "--resets", a.resets, "N|all",
-            "times that visibility starts again at 1 behind what\n"
-            "is opaque; what lies behind the last is dropped\n"
-            "(default: all)")
+    addChecked(app, "--resets", a.resets, "N|all", parseResets,
+               "times that visibility starts again at 1 behind what\n"
+               "is opaque; what lies behind the last is dropped\n"
+               "(default: all)")
         ->group(group);
     app.add_flag("--color", a.color,
                  "keep visibility of red, green and blue apart, for\n"
@@ -218,15 +252,18 @@ void addCasterOptions(CLI::App& app, Arguments& a) {
             "may be repeated, the last that matches counts");
 
     addNumber(app, "--hair-width", a.hairWidth, {0.0, kAny}, "W",
-              "full width of all strands at the root, in units of\n"
-              "the scaled file (default: the file's)")
+              "full width of all strands at the root, in world\n"
+              "units; 0 leaves them out (default of .hair: the\n"
+              "file's; of .tfx and OBJ: 1/2000 of the diagonal\n"
+              "around all strands)")
         ->group(hair);
     addNumber(app, "--hair-tip-width", a.hairTipWidth, {0.0, kAny}, "W",
               "at the tip; needs --hair-width (default: the same)")
         ->group(hair);
     addNumber(app, "--hair-opacity", a.hairOpacity, {0.0, 1.0}, "A",
               "part of the light that crosses a strand and is\n"
-              "stopped, 0 to 1 (default: the file's)")
+              "stopped, 0 to 1 (default of .hair: the file's; of\n"
+              ".tfx and OBJ: 1)")
         ->group(hair);
     addNumber(app, "--hair-scale", a.hairScale, {0.0, kAny}, "F",
               "multiplies positions and the file's widths: 0.01 for\n"
@@ -249,9 +286,9 @@ void addGeneralOptions(CLI::App& app, Arguments& a) {
              "0: as many as the machine has (default); the map\n"
              "is the same for any number")
         ->group(group);
-    addText(app, "--max-memory", a.maxMemory, "BYTES",
-            "bound on samples and map: 8G, 512M; the bake goes in\n"
-            "bands to stay below (default: half of the machine's)")
+    addChecked(app, "--max-memory", a.maxMemory, "BYTES", maxBytesOf,
+               "bound on samples and map: 8G, 512M; the bake goes in\n"
+               "bands to stay below (default: half of the machine's)")
         ->group(group);
     app.add_flag("--quiet", a.quiet, "say nothing but warnings and errors")->group(group);
     app.add_flag("--json", a.json, "print what was done to stdout as a JSON object")
@@ -491,23 +528,11 @@ void chooseProjection(const Arguments& a, BakeOptions& bake) {
                          "\", but the faces of --projection cube are square");
 }
 
-std::uint32_t parseResets(const std::string& text) {
-    if (text == "all") return kAllResets;
-    std::uint32_t resets = 0;
-    const char* const end = text.data() + text.size();
-    const auto parsed = std::from_chars(text.data(), end, resets);
-    if (parsed.ec != std::errc() || parsed.ptr != end || resets == kAllResets)
-        throw UsageError("--resets: found \"" + text +
-                         "\", expected a whole number of at least 0, or all");
-    return resets;
-}
-
 BakeOptions bakeOptions(const Arguments& a, const CLI::App& app, const Input& input,
                         Talk& talk) {
     BakeOptions bake;
-    const glm::uvec2 size = parseResolution("--resolution", a.resolution, kMaxResolution);
-    bake.maxBytes =
-        a.maxMemory.empty() ? halfOfMemory() : parseBytes("--max-memory", a.maxMemory);
+    const glm::uvec2 size = sizeOf(a.resolution);
+    bake.maxBytes = a.maxMemory.empty() ? halfOfMemory() : maxBytesOf(a.maxMemory);
     if (a.near && a.far && !(*a.near < *a.far))
         throw UsageError("--near and --far: found " + numberText(*a.near) + " and " +
                          numberText(*a.far) + ", near must be less than far");
@@ -534,9 +559,22 @@ BakeOptions bakeOptions(const Arguments& a, const CLI::App& app, const Input& in
     return bake;
 }
 
+/// With the place in the job of what is wrong, where the job said it.
+BakeOptions checkedBakeOptions(const Arguments& a, const CLI::App& app,
+                               const Input& input, Talk& talk) {
+    try {
+        return bakeOptions(a, app, input, talk);
+    } catch (const UsageError& wrong) {
+        if (input.job) blameJob(*input.job, wrong);
+        throw;
+    }
+}
+
 CasterFilesOptions filesOptions(const Arguments& a, Talk& talk) {
     CasterFilesOptions files;
     files.color = a.color;
+    files.importerBytes = std::min(files.importerBytes, 2 * halfOfMemory());
+    files.cacheBytes = halfOfMemory() / 2;
     files.warn = [&talk](const std::string& text) { talk.warn(text); };
     files.progress = [&talk](const std::string& path) {
         return talk.progress("reading " + path, -1.0);
@@ -676,7 +714,7 @@ void run(const Arguments& a, const CLI::App& app, const Input& input, Talk& talk
         return std::chrono::duration<double>(Clock::now() - start).count();
     };
     const auto start = Clock::now();
-    const BakeOptions options = bakeOptions(a, app, input, talk);
+    const BakeOptions options = checkedBakeOptions(a, app, input, talk);
     CasterFiles casters(input.casters, filesOptions(a, talk));
     const Baked baked = unwrap(bake(casters, options));
 

@@ -2,10 +2,12 @@
 #include "mtsm/caster_files.h"
 
 #include <algorithm>
+#include <array>
 #include <cctype>
 #include <cmath>
 #include <filesystem>
 #include <glm/matrix.hpp>
+#include <new>
 #include <utility>
 
 #include "base/message.h"
@@ -48,18 +50,23 @@ struct Use {
     CasterKind kind;
 };
 
+constexpr std::size_t kSettings = 10;
+
+std::array<Use, kSettings> usesOf(const CasterFile& f) {
+    return {{{"opacity", f.opacity.has_value(), CasterKind::mesh},
+             {"include", !f.include.empty(), CasterKind::mesh},
+             {"exclude", !f.exclude.empty(), CasterKind::mesh},
+             {"texture", !f.textures.empty(), CasterKind::mesh},
+             {"hair-width", f.hairWidth.has_value(), CasterKind::hair},
+             {"hair-tip-width", f.hairTipWidth.has_value(), CasterKind::hair},
+             {"hair-opacity", f.hairOpacity.has_value(), CasterKind::hair},
+             {"hair-scale", f.hairScale != 1.0f, CasterKind::hair},
+             {"density-grid", !f.densityGrid.empty(), CasterKind::volume},
+             {"density-scale", f.densityScale != 1.0f, CasterKind::volume}}};
+}
+
 Status checkUses(const CasterFile& f) {
-    const Use uses[] = {{"opacity", f.opacity.has_value(), CasterKind::mesh},
-                        {"include", !f.include.empty(), CasterKind::mesh},
-                        {"exclude", !f.exclude.empty(), CasterKind::mesh},
-                        {"texture", !f.textures.empty(), CasterKind::mesh},
-                        {"hair-width", f.hairWidth.has_value(), CasterKind::hair},
-                        {"hair-tip-width", f.hairTipWidth.has_value(), CasterKind::hair},
-                        {"hair-opacity", f.hairOpacity.has_value(), CasterKind::hair},
-                        {"hair-scale", f.hairScale != 1.0f, CasterKind::hair},
-                        {"density-grid", !f.densityGrid.empty(), CasterKind::volume},
-                        {"density-scale", f.densityScale != 1.0f, CasterKind::volume}};
-    for (const Use& use : uses) {
+    for (const Use& use : usesOf(f)) {
         if (!use.made || mayHold(f.path, use.kind)) continue;
         const CasterKind kind = casterKind(f.path);
         const bool opacity = std::string(use.setting) == "opacity";
@@ -119,7 +126,8 @@ CasterVisitor moved(const glm::dmat4& transform, const CasterVisitor& visitor) {
 struct Group {
     CasterKind kind = CasterKind::mesh;
     std::vector<CasterFile> files;
-    std::unique_ptr<CasterSource> source;
+    std::unique_ptr<CasterSource> source = {};  // from the first visit on
+    std::function<std::uint64_t()> cachedBytes = {};
 
     [[nodiscard]] bool takes(const CasterFile& file) const {
         const CasterFile& first = files.front();
@@ -132,7 +140,7 @@ struct Group {
 void addMeshes(const CasterFile& file, std::vector<Group>& groups) {
     for (Group& group : groups)
         if (group.takes(file)) return group.files.push_back(file);
-    groups.push_back({CasterKind::mesh, {file}, nullptr});
+    groups.push_back({CasterKind::mesh, {file}});
 }
 
 Result<std::vector<Group>> groupsOf(const std::vector<CasterFile>& files) {
@@ -140,7 +148,7 @@ Result<std::vector<Group>> groupsOf(const std::vector<CasterFile>& files) {
     for (const CasterFile& file : files) {
         const CasterKind kind = casterKind(file.path);
         if (kind != CasterKind::mesh) {
-            groups.push_back({kind, {file}, nullptr});
+            groups.push_back({kind, {file}});
             continue;
         }
         ObjContent content{.polylines = false, .faces = true};
@@ -151,24 +159,35 @@ Result<std::vector<Group>> groupsOf(const std::vector<CasterFile>& files) {
         }
         // One with neither is left to the reader of meshes to complain of.
         if (content.faces || !content.polylines) addMeshes(file, groups);
-        if (content.polylines) groups.push_back({CasterKind::hair, {file}, nullptr});
+        if (content.polylines) groups.push_back({CasterKind::hair, {file}});
     }
     return groups;
 }
 
-double fileBytes(const Group& group) {
-    double sum = 1.0;
-    for (const CasterFile& file : group.files) {
-        std::error_code problem;
-        const auto size = std::filesystem::file_size(file.path, problem);
-        if (!problem) sum += double(size);
+/// Warns of settings that no file can use: an OBJ may hold meshes and strands by its
+/// name, and is known only when it is read.
+void warnOfUnused(const std::vector<CasterFile>& files, const std::vector<Group>& groups,
+                  const CasterFilesOptions& options) {
+    if (!options.warn) return;
+    for (std::size_t s = 0; s < kSettings; ++s) {
+        const auto made = [s](const CasterFile& file) { return usesOf(file)[s].made; };
+        const auto first = std::find_if(files.begin(), files.end(), made);
+        if (first == files.end()) continue;
+        const Use use = usesOf(*first)[s];
+        const bool used = std::any_of(groups.begin(), groups.end(), [&](const Group& g) {
+            return g.kind == use.kind &&
+                   std::any_of(g.files.begin(), g.files.end(), made);
+        });
+        if (!used)
+            options.warn(base::concat(
+                first->path, ": ", use.setting, " has no effect: the file holds no ",
+                use.kind == CasterKind::hair ? "strands (polylines)" : "faces"));
     }
-    return sum;
 }
 
-std::unique_ptr<CasterSource> meshSource(const Group& group,
-                                         const CasterFilesOptions& options,
-                                         std::uint64_t cacheBytes) {
+std::unique_ptr<MeshFiles> meshSource(const Group& group,
+                                      const CasterFilesOptions& options,
+                                      std::uint64_t cacheBytes) {
     const CasterFile& first = group.files.front();
     std::vector<std::string> paths;
     for (const CasterFile& file : group.files)
@@ -179,6 +198,7 @@ std::unique_ptr<CasterSource> meshSource(const Group& group,
     o.textures = first.textures;
     o.opacity = first.opacity;
     o.color = options.color;
+    o.linesAreStrands = true;
     o.cacheBytes = cacheBytes;
     o.importerBytes = options.importerBytes;
     o.warn = options.warn;
@@ -189,8 +209,11 @@ std::unique_ptr<CasterSource> meshSource(const Group& group,
 std::unique_ptr<CasterSource> hairSource(const CasterFile& file,
                                          const CasterFilesOptions& options) {
     HairFileOptions o;
-    o.width = file.hairWidth;
-    o.tipWidth = file.hairTipWidth;
+    // The transform will multiply widths by this.
+    const double grown =
+        std::cbrt(std::abs(glm::determinant(glm::dmat3(file.transform))));
+    if (file.hairWidth) o.width = float(*file.hairWidth / grown);
+    if (file.hairTipWidth) o.tipWidth = float(*file.hairTipWidth / grown);
     o.opacity = file.hairOpacity;
     o.scale = file.hairScale;
     o.warn = options.warn;
@@ -198,9 +221,9 @@ std::unique_ptr<CasterSource> hairSource(const CasterFile& file,
     return std::make_unique<HairFile>(file.path, std::move(o));
 }
 
-std::unique_ptr<CasterSource> volumeSource(const CasterFile& file,
-                                           const CasterFilesOptions& options,
-                                           std::uint64_t cacheBytes) {
+std::unique_ptr<VolumeFile> volumeSource(const CasterFile& file,
+                                         const CasterFilesOptions& options,
+                                         std::uint64_t cacheBytes) {
     VolumeFileOptions o;
     o.grid = file.densityGrid;
     o.densityScale = file.densityScale;
@@ -215,16 +238,18 @@ std::unique_ptr<CasterSource> volumeSource(const CasterFile& file,
 void openReader(Group& group, const CasterFilesOptions& options,
                 std::uint64_t cacheBytes) {
     const CasterFile& first = group.files.front();
+    const auto take = [&](auto source) {
+        group.cachedBytes = [reader = source.get()] { return reader->cachedBytes(); };
+        group.source = std::move(source);
+    };
     switch (group.kind) {
         case CasterKind::mesh:
-            group.source = meshSource(group, options, cacheBytes);
-            break;
-        case CasterKind::hair:
-            group.source = hairSource(first, options);
-            break;
+            return take(meshSource(group, options, cacheBytes));
         case CasterKind::volume:
-            group.source = volumeSource(first, options, cacheBytes);
-            break;
+            return take(volumeSource(first, options, cacheBytes));
+        case CasterKind::hair:
+            group.cachedBytes = [] { return std::uint64_t(0); };
+            group.source = hairSource(first, options);
     }
 }
 
@@ -270,13 +295,7 @@ Status CasterFiles::Impl::open() {
         if (Status s = checkCaster(file); !s) return s;
     auto opened = groupsOf(files);
     if (!opened) return opened.error();
-    double total = 0.0;
-    for (const Group& group : *opened)
-        total += fileBytes(group);
-    for (Group& group : *opened)
-        openReader(
-            group, options,
-            std::uint64_t(double(options.cacheBytes) * (fileBytes(group) / total)));
+    warnOfUnused(files, *opened, options);
     groups = *std::move(opened);
     return {};
 }
@@ -290,11 +309,20 @@ CasterFiles::CasterFiles(std::vector<CasterFile> files, CasterFilesOptions optio
 CasterFiles::~CasterFiles() = default;
 
 Status CasterFiles::visit(const CasterVisitor& visitor) {
-    if (Status s = impl_->open(); !s) return s;
-    for (const Group& group : impl_->groups) {
+    try {
+        if (Status s = impl_->open(); !s) return s;
+    } catch (const std::bad_alloc&) {
+        return makeError(ErrorCode::tooLarge, impl_->files.front().path,
+                         ": there is not enough memory to open it and what is read "
+                         "beside it");
+    }
+    std::uint64_t left = impl_->options.cacheBytes;
+    for (Group& group : impl_->groups) {
+        if (!group.source) openReader(group, impl_->options, left);
         const Status s =
             group.source->visit(moved(group.files.front().transform, visitor));
         if (!s) return s;
+        left -= std::min(left, group.cachedBytes());
     }
     return {};
 }

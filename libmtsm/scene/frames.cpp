@@ -194,13 +194,15 @@ std::optional<OpacityImage> FrameReader::texture(const Frame& frame) {
         return std::nullopt;
     const std::uint64_t count =
         std::uint64_t(head->width) * head->height * head->channels;
-    if (count > maxBytes_ / sizeof(float)) return std::nullopt;
+    tooLarge_ = count > (maxBytes_ - textureBytes_) / sizeof(float);
+    if (tooLarge_) return std::nullopt;
     OpacityImage image{head->width, head->height, head->channels, {},
                        head->wrapU, head->wrapV,  head->cutoff,   head->opacity};
     if (!fill(image.texels, count) ||
         !std::all_of(image.texels.begin(), image.texels.end(), isProportion))
         return std::nullopt;
     ++textures_;
+    textureBytes_ += count * sizeof(float);
     return image;
 }
 

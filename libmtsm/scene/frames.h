@@ -147,7 +147,7 @@ struct Frame {
 /// The parent's side.
 class FrameReader {
   public:
-    /// No mesh, texture or volume may be larger than maxBytes.
+    /// No mesh or volume may be larger than maxBytes, nor may all textures together.
     FrameReader(Isolated& in, std::uint64_t maxBytes) : in_(in), maxBytes_(maxBytes) {}
     /// The next frame; nothing at the end of the stream or if what comes is no frame.
     [[nodiscard]] std::optional<Frame> next();
@@ -157,6 +157,8 @@ class FrameReader {
     [[nodiscard]] std::optional<PlacedVolume> volume(const Frame& frame);
     /// What follows a texture frame; nothing if it is cut off or breaks a rule.
     [[nodiscard]] std::optional<OpacityImage> texture(const Frame& frame);
+    /// Whether texture() gave nothing because of maxBytes.
+    [[nodiscard]] bool tooLarge() const { return tooLarge_; }
     /// What a light frame says; nothing if it breaks a rule.
     [[nodiscard]] static std::optional<FileLight> light(const Frame& frame);
 
@@ -165,7 +167,9 @@ class FrameReader {
     bool fill(std::vector<T>& to, std::uint64_t count);
     Isolated& in_;
     std::uint64_t maxBytes_;
-    std::uint32_t textures_ = 0;  // read so far
+    std::uint32_t textures_ = 0;      // read so far
+    std::uint64_t textureBytes_ = 0;  // of those
+    bool tooLarge_ = false;
 };
 
 }  // namespace mtsm::scene

@@ -33,8 +33,9 @@ std::string amount(std::uint64_t bytes) {
 Error outOfMemory(const std::string& path, std::uint64_t importerBytes) {
     return makeError(ErrorCode::tooLarge, path, ": reading it takes more than the ",
                      amount(importerBytes),
-                     " that an importer may use (importerBytes); repair the file or "
-                     "raise the limit");
+                     " that an importer may use (importerBytes); if the file is sound, "
+                     "split it, make its images smaller, or use a machine of more "
+                     "memory");
 }
 
 /// Why a child that said neither `end` nor `failure` fell silent.
@@ -105,7 +106,9 @@ Status receive(Isolated& child, const std::string& path, std::uint64_t importerB
             }
             case FrameKind::texture: {
                 auto image = reader.texture(*frame);
-                if (!image) return nonsense(path);
+                if (!image)
+                    return reader.tooLarge() ? outOfMemory(path, importerBytes)
+                                             : nonsense(path);
                 if (!sink.texture) break;
                 if (Status s = sink.texture(std::move(*image)); !s) return s;
                 break;

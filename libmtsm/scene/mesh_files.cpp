@@ -182,6 +182,10 @@ MeshFiles::MeshFiles(std::vector<std::string> paths, MeshFileOptions options)
 
 MeshFiles::~MeshFiles() = default;
 
+std::uint64_t MeshFiles::cachedBytes() const noexcept {
+    return impl_->cachedBytes;
+}
+
 Status MeshFiles::visit(const CasterVisitor& visitor) {
     if (Status s = checkOptions(impl_->options, impl_->files.size()); !s) return s;
     std::uint64_t visited = 0;

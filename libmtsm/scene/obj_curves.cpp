@@ -4,6 +4,7 @@
 #include <cstring>
 #include <deque>
 #include <limits>
+#include <new>
 #include <string_view>
 
 #include "base/message.h"
@@ -159,6 +160,8 @@ class Parser {
                 return bad("found \"", base::printable(word, kWordShown),
                            "\" where a polyline has the number of a vertex, of which ",
                            vertices, " came before; repair or re-export it");
+            if (curves_.corners.size() - first == kMostPoints)
+                return bad("a polyline has more than ", kMostPoints, " points; split it");
             curves_.corners.push_back(std::uint32_t(from0));
         }
         const std::size_t corners = curves_.corners.size() - first;
@@ -278,7 +281,7 @@ std::unique_ptr<HairReader> openObjCurves(const ObjCurves& curves) {
 
 namespace mtsm {
 
-Result<ObjContent> objContent(const std::string& path) {
+Result<ObjContent> objContent(const std::string& path) try {
     const auto file = scene::ByteFile::open(path);
     if (!file) return file.error();
     ObjContent content;
@@ -294,6 +297,9 @@ Result<ObjContent> objContent(const std::string& path) {
         content.faces = content.faces || keyword == "f";
     }
     return content;
+} catch (const std::bad_alloc&) {
+    return base::makeError(ErrorCode::tooLarge, path,
+                           ": there is not enough memory to read one of its lines");
 }
 
 }  // namespace mtsm

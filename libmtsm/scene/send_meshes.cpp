@@ -218,11 +218,12 @@ bool sendPly(const std::string& path, const NameFilter& filter,
     return true;
 }
 
-bool isPly(const std::string& path) {
+/// `extension` of four characters, with its dot, in whatever case.
+bool hasExtension(const std::string& path, std::string_view extension) {
     std::string tail = path.substr(path.size() - std::min<std::size_t>(4, path.size()));
     std::transform(tail.begin(), tail.end(), tail.begin(),
                    [](unsigned char c) { return char(std::tolower(c)); });
-    return tail == ".ply";
+    return tail == extension;
 }
 
 }  // namespace
@@ -230,14 +231,15 @@ bool isPly(const std::string& path) {
 void sendMeshes(const std::string& path, const MeshFileOptions& options,
                 FrameWriter& out) {
     const NameFilter filter(options.include, options.exclude);
-    if (isPly(path) && sendPly(path, filter, options, out)) return;
+    if (hasExtension(path, ".ply") && sendPly(path, filter, options, out)) return;
 
     AssimpScene file(path, out);
     if (!file.scene()) return;
     const std::string badIndex = indexOutOfRange(*file.scene());
     if (!badIndex.empty())
         return out.failure(ErrorCode::badFile, base::concat(path, ": ", badIndex));
-    const Census census = censusOf(*file.scene());
+    Census census = censusOf(*file.scene());
+    if (options.linesAreStrands && hasExtension(path, ".obj")) census.lines = 0;
     if (census.triangles == 0)
         return failWithoutTriangles(path, census.points, census.lines, out);
     const Placement placement(*file.scene(), filter);

@@ -231,7 +231,8 @@ void sendGrid(const Entry& entry, const Grid& grid, std::uint64_t mostBytes,
             concat("grid ", quoted(entry.shownName()), " has ", count,
                    " blocks of 8 x 8 x 8 active voxels, at ", PlacedVolume::kBlockBytes,
                    " bytes each more than the limit of ", mostBytes,
-                   " bytes (importerBytes); raise it or resample the grid")};
+                   " bytes (importerBytes); resample the grid, or use a machine of more "
+                   "memory")};
     const glm::dmat4 worldFromIndex = worldFromIndexOf(entry);
     if (const std::string odd = blocks.oddities(); !odd.empty())
         out.warning(concat("grid ", quoted(entry.shownName()), ": ", odd));

@@ -11,6 +11,7 @@
 #include <stdexcept>
 
 #include "base/message.h"
+#include "base/system_error.h"
 
 namespace mtsm::scene {
 
@@ -33,7 +34,12 @@ WholeFileBuffer::int_type WholeFileBuffer::underflow() {
     do {
         n = pread(fd_, buffer_.data(), buffer_.size(), next_);
     } while (n < 0 && errno == EINTR);
-    if (n <= 0) {
+    if (n < 0) {
+        out_.failure(ErrorCode::io, base::concat(path_, ": cannot be read at byte ",
+                                                 next_, ": ", base::systemReason(errno)));
+        _exit(0);
+    }
+    if (n == 0) {
         out_.failure(
             ErrorCode::badFile,
             base::concat(path_, ": the file is cut off or damaged: a read at byte ",

@@ -5,6 +5,7 @@
 
 #include "base/message.h"
 #include "mtsm/volume_files.h"
+#include "scene/byte_file.h"
 #include "scene/import_file.h"
 #include "scene/send.h"
 
@@ -16,7 +17,8 @@ using scene::PlacedVolume;
 struct VolumeFile::Impl {
     std::string path;
     VolumeFileOptions options;
-    std::optional<std::uint64_t> blocks;  // once read: to notice that the file changed
+    std::optional<scene::ByteFile::Stamp> stamp;  // of the file at the first reading
+    bool warned = false;                          // a reading has come to its end
     std::optional<PlacedVolume> kept;
 
     Status show(const PlacedVolume& volume, const CasterVisitor& visitor) const;
@@ -34,13 +36,20 @@ Status VolumeFile::Impl::show(const PlacedVolume& volume,
 Status VolumeFile::Impl::read(const CasterVisitor& visitor) {
     if (options.progress && !options.progress(path))
         return makeError(ErrorCode::cancelled, path, ": reading was cancelled");
+    const auto file = scene::ByteFile::open(path);
+    if (!file) return file.error();
+    if (stamp && *stamp != (*file)->stamp())
+        return makeError(ErrorCode::io, path,
+                         ": has changed since it was read first; start again");
+    stamp = (*file)->stamp();
+
     std::optional<PlacedVolume> volume;
     scene::ImportSink sink;
     sink.volume = [&](PlacedVolume&& got) -> Status {
         volume = std::move(got);
         return {};
     };
-    if (!blocks) sink.warning = options.warn;
+    if (!warned) sink.warning = options.warn;
     const Status done = scene::importFile(
         path, options.importerBytes,
         [&](scene::FrameWriter& out) { scene::sendVolume(path, options, out); }, sink);
@@ -48,10 +57,7 @@ Status VolumeFile::Impl::read(const CasterVisitor& visitor) {
     if (!volume)
         return makeError(ErrorCode::badFile, path,
                          ": the importer returned no volume; re-export the file");
-    if (blocks && *blocks != volume->blocks.size())
-        return makeError(ErrorCode::io, path,
-                         ": the file changed while it was in use; start again");
-    blocks = volume->blocks.size();
+    warned = true;
     const Status shown = show(*volume, visitor);
     if (volume->bytes() <= options.cacheBytes) kept = std::move(*volume);
     return shown;
@@ -64,6 +70,10 @@ VolumeFile::VolumeFile(std::string path, VolumeFileOptions options)
 }
 
 VolumeFile::~VolumeFile() = default;
+
+std::uint64_t VolumeFile::cachedBytes() const noexcept {
+    return impl_->kept ? impl_->kept->bytes() : 0;
+}
 
 Status VolumeFile::visit(const CasterVisitor& visitor) {
     const float scale = impl_->options.densityScale;

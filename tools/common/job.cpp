@@ -17,7 +17,7 @@
 #include <glm/trigonometric.hpp>
 #include <map>
 #include <optional>
-#include <set>
+#include <sstream>
 #include <string_view>
 
 #include "common/arguments.h"
@@ -30,6 +30,9 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::uintmax_t kMostBytes = std::uintmax_t(16) << 20;
+/// Of a line: each dot of a key makes a table in a table, which toml++ builds, prints and
+/// frees by recursion.
+constexpr std::ptrdiff_t kMostDots = 64;
 
 // --- the keys there are
 // --------------------------------------------------------------------
@@ -374,6 +377,9 @@ class Reader {
         throw Failure{{ErrorCode::badFile, place + ": " + why}};
     }
     [[nodiscard]] toml::table parse() const;
+    void checkDepth(const std::string& bytes) const;
+    /// Refuses texts that C functions would see the beginning of.
+    void checkNoNul(const Key& key, const toml::node& value) const;
     const Key& find(std::string_view table, const toml::key& key) const;
     void readSettings(std::string_view table, const toml::table& content);
     void readCasters(const toml::node& list);
@@ -420,12 +426,35 @@ toml::table Reader::parse() const {
         if (bytes.size() > kMostBytes)
             fail(ErrorCode::badFile, "is longer than 16 MiB: this is no job file");
     }
+    checkDepth(bytes);
     try {
         return toml::parse(bytes);
     } catch (const toml::parse_error& wrong) {
         refuse(place(wrong.source().begin),
                "is not TOML: " + printable(std::string(wrong.description())));
     }
+}
+
+void Reader::checkDepth(const std::string& bytes) const {
+    std::istringstream in(bytes);
+    std::string line;
+    for (std::size_t number = 1; std::getline(in, line); ++number) {
+        const auto dots = std::count(line.begin(), line.end(), '.');
+        if (dots > kMostDots)
+            refuse(path_ + ":" + std::to_string(number),
+                   "found " + std::to_string(dots) +
+                       " dots in one line, expected at most " +
+                       std::to_string(kMostDots) +
+                       "; a long list may go over several lines");
+    }
+}
+
+void Reader::checkNoNul(const Key& key, const toml::node& value) const {
+    for (const std::string& text : texts(value))
+        if (text.find('\0') != std::string::npos)
+            refuse(place(value), std::string(key.name) +
+                                     ": found a text with a NUL character (\\u0000), "
+                                     "expected one without");
 }
 
 const Key& Reader::find(std::string_view table, const toml::key& key) const {
@@ -442,6 +471,7 @@ void Reader::readSettings(std::string_view table, const toml::table& content) {
                                        key.str()) != std::end(kTables);
         if (table.empty() && isTable) continue;
         const Key& known = find(table, key);
+        checkNoNul(known, value);
         auto spelling = spell(known.form, value);
         if (!spelling) refuseValue(known, value);
         if (known.form == Form::path) spelling = resolved(*spelling);
@@ -515,6 +545,7 @@ void Reader::setCaster(CasterFile& c, const Key& key, const toml::node& value) c
                       : key.form == Form::textures ? !textures(value).empty()
                                                    : word && !word->get().empty();
     if (!good) refuseValue(key, value);
+    checkNoNul(key, value);
     if (key.name == "file") c.path = resolved(word->get());
     if (key.name == "opacity") c.opacity = float(*real);
     if (key.name == "include") c.include = texts(value);
@@ -588,41 +619,111 @@ namespace {
     throw Failure{{ErrorCode::badFile, setting.place + ": " + printable(why)}};
 }
 
+/// The text of an error, beginning with a key of the job in place of its option.
+[[noreturn]] void refuseSetting(const JobSetting& setting, const UsageError& wrong) {
+    std::string why = wrong.what();
+    if (why.starts_with(setting.option))
+        why = setting.key + why.substr(setting.option.size());
+    refuseSetting(setting, why);
+}
+
 /// Gives `option` the setting's value, as if the command line had.
 void give(CLI::Option& option, const JobSetting& setting) {
     try {
         option.add_result(setting.value);
         option.run_callback();
     } catch (const UsageError& wrong) {
-        std::string why = wrong.what();
-        if (why.starts_with(setting.option))
-            why = setting.key + why.substr(setting.option.size());
-        refuseSetting(setting, why);
+        refuseSetting(setting, wrong);
     } catch (const CLI::ParseError& wrong) {
         refuseSetting(setting, setting.key + ": " + wrong.what());
     }
 }
 
+/// What the command line alone says, and what of a job loses its meaning by it.
+class CommandLine {
+  public:
+    CommandLine(const Job& job, const CLI::App& app) {
+        for (const CLI::Option* option : app.get_options())
+            if (option->count() > 0)
+                given_[option->get_name()] = option->results().back();
+        shape_ = shapeBeside(job);
+    }
+    [[nodiscard]] bool gave(const CLI::Option& option) const {
+        return given_.count(option.get_name()) > 0;
+    }
+    [[nodiscard]] bool overrules(const JobSetting& setting) const {
+        const std::string& o = setting.option;
+        const bool sun = shape_ == "sun";
+        if (o == "--light-shape") return !shape_.empty() && setting.value != shape_;
+        if (o == "--light-radius" || o == "--light-size" || o == "--light-angle")
+            return !shape_.empty() && !isSizeOf(o, shape_);
+        if (o == "--light-position" || o == "--light-target") return sun;
+        if (o == "--fov") return sun || says("--projection", "cube");
+        if (o == "--projection") return sun || given_.count("--fov") > 0;
+        return o == "--level" && says("--codec", "none");
+    }
+
+  private:
+    static bool isSizeOf(std::string_view option, std::string_view shape) {
+        return option == "--light-radius" ? shape == "disk" || shape == "sphere"
+               : option == "--light-size" ? shape == "rect"
+                                          : shape == "sun";
+    }
+    [[nodiscard]] bool says(const char* option, std::string_view value) const {
+        const auto at = given_.find(option);
+        return at != given_.end() && at->second == value;
+    }
+    /// The light's shape if the command line decides it: by its name, or by the size of
+    /// one, unless the size is one that the job's shape has. Else empty.
+    [[nodiscard]] std::string shapeBeside(const Job& job) const {
+        if (const auto at = given_.find("--light-shape"); at != given_.end())
+            return at->second;
+        for (const auto& [size, shape] :
+             {std::pair("--light-radius", "disk"), std::pair("--light-size", "rect"),
+              std::pair("--light-angle", "sun")}) {
+            if (given_.count(size) == 0) continue;
+            for (const JobSetting& s : job.settings)
+                if (s.option == "--light-shape" && isSizeOf(size, s.value))
+                    return s.value;
+            return shape;
+        }
+        return {};
+    }
+
+    std::map<std::string, std::string> given_;  // option -> value
+    std::string shape_;
+};
+
 }  // namespace
 
-void applyJob(const Job& job, CLI::App& app) {
-    std::set<const CLI::Option*> given;  // by the command line
-    for (const CLI::Option* option : app.get_options())
-        if (option->count() > 0) given.insert(option);
-    std::map<const CLI::Option*, const JobSetting*> taken;
+void applyJob(Job& job, CLI::App& app) {
+    const CommandLine line(job, app);
+    std::map<const CLI::Option*, JobSetting> taken;
+    std::vector<JobSetting> inOrder;
     for (const JobSetting& setting : job.settings) {
         CLI::Option* option = app.get_option_no_throw(setting.option);
-        if (!option || given.count(option)) continue;
+        if (!option || line.gave(*option) || line.overrules(setting)) continue;
         bool overruled = false;
         for (const CLI::Option* other : option->get_excludes()) {
-            overruled = overruled || given.count(other);
+            overruled = overruled || line.gave(*other);
             if (const auto at = taken.find(other); at != taken.end())
-                refuseSetting(setting, setting.key + " and " + at->second->key +
+                refuseSetting(setting, setting.key + " and " + at->second.key +
                                            " exclude each other");
         }
         if (overruled) continue;
         give(*option, setting);
-        taken[option] = &setting;
+        taken[option] = setting;
+        inOrder.push_back(setting);
+    }
+    job.settings = std::move(inOrder);
+}
+
+void blameJob(const Job& job, const UsageError& wrong) {
+    const std::string_view text = wrong.what();
+    for (const JobSetting& setting : job.settings) {
+        if (!text.starts_with(setting.option)) continue;
+        const std::string_view rest = text.substr(setting.option.size());
+        if (rest.starts_with(':') || rest.starts_with(' ')) refuseSetting(setting, wrong);
     }
 }
 

@@ -25,6 +25,7 @@
 #include <string>
 #include <vector>
 
+#include "common/arguments.h"
 #include "mtsm/caster_files.h"
 #include "mtsm/result.h"
 
@@ -47,9 +48,14 @@ struct Job {
 Result<Job> readJob(const std::string& path);
 
 /// Gives the options of `app` what the job says. Options that the command line gave, and
-/// those that it excludes, stay as they are; settings that `app` has no option for are
-/// passed over. A value that the option refuses is a Failure (badFile) at its place.
-void applyJob(const Job& job, CLI::App& app);
+/// those that it excludes or leaves without a meaning, stay as they are; settings that
+/// `app` has no option for are passed over. `job` keeps the settings that were taken. A
+/// value that the option refuses is a Failure (badFile) at its place.
+void applyJob(Job& job, CLI::App& app);
+
+/// Says where a setting is wrong that only shows beside others: if the text begins with
+/// the option of one that was taken, throws a Failure (badFile) at its place.
+void blameJob(const Job& job, const UsageError& wrong);
 
 /// A caster and the settings that differ from the default, as a map remembers them.
 [[nodiscard]] std::string casterText(const CasterFile& caster);

@@ -34,9 +34,10 @@ enum class CasterKind { mesh, hair, volume };
 /// left as they are here.
 struct CasterFile {
     std::string path;
-    /// world = transform * the file's; affine, invertible. Widths of strands grow by the
-    /// cube root of its determinant; the extinction of a volume stays what it is per
-    /// world unit of length.
+    /// world = transform * the file's; affine, invertible. Widths of strands that are the
+    /// file's or the default grow by the cube root of its determinant; the extinction of
+    /// a volume stays what it is per world unit of length, so smoke made larger stops
+    /// more.
     glm::dmat4 transform{1.0};
 
     // Meshes: see MeshFileOptions.
@@ -44,7 +45,8 @@ struct CasterFile {
     std::vector<std::string> include, exclude;
     std::vector<MaterialTexture> textures;
 
-    // Strands: see HairFileOptions.
+    // Strands: see HairFileOptions; but these widths are in world units, whatever
+    // transform and hairScale are. With width 0 strands cast nothing.
     std::optional<float> hairWidth, hairTipWidth, hairOpacity;
     float hairScale = 1.0f;
 
@@ -59,7 +61,7 @@ Status checkCaster(const CasterFile& file);
 
 struct CasterFilesOptions {
     bool color = false;  ///< casters tint the light: see MeshFileOptions
-    /// Kept between visits, over all files; shared out by the files' lengths.
+    /// Kept between visits, over all files: whole files, in their order, while they fit.
     std::uint64_t cacheBytes = std::uint64_t(1) << 30;
     std::uint64_t importerBytes = std::uint64_t(16) << 30;  ///< see MeshFileOptions
     std::function<void(const std::string&)> warn;           ///< see MeshFileOptions

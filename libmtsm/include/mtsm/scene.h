@@ -137,6 +137,9 @@ struct MeshFileOptions {
     /// Materials that let some light through tint it: MeshView::tint, and textures of
     /// three channels where colours differ. Without it neither.
     bool color = false;
+    /// Lines of OBJ files count as cast, not as ignored: another source casts them as
+    /// strands (HairFile).
+    bool linesAreStrands = false;
     /// Geometry and textures kept between visits: whole files, in their order, while they
     /// fit. Others are read again at each visit.
     std::uint64_t cacheBytes = std::uint64_t(1) << 30;
@@ -190,6 +193,8 @@ class MeshFiles final : public CasterSource {
     explicit MeshFiles(std::vector<std::string> paths, MeshFileOptions options = {});
     ~MeshFiles() override;
     Status visit(const CasterVisitor& visitor) override;
+    /// What it holds until the next visit, of cacheBytes.
+    [[nodiscard]] std::uint64_t cachedBytes() const noexcept;
 
     MeshFiles(const MeshFiles&) = delete;
     MeshFiles& operator=(const MeshFiles&) = delete;

@@ -52,6 +52,8 @@ class VolumeFile final : public CasterSource {
     explicit VolumeFile(std::string path, VolumeFileOptions options = {});
     ~VolumeFile() override;
     Status visit(const CasterVisitor& visitor) override;
+    /// What it holds until the next visit, of cacheBytes.
+    [[nodiscard]] std::uint64_t cachedBytes() const noexcept;
 
     VolumeFile(const VolumeFile&) = delete;
     VolumeFile& operator=(const VolumeFile&) = delete;
