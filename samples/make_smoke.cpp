@@ -10,19 +10,18 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <cerrno>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
 #include <cstring>
-#include <filesystem>
 #include <glm/common.hpp>
 #include <glm/geometric.hpp>
 #include <glm/vec3.hpp>
 #include <sstream>
 #include <string>
-#include <system_error>
 #include <vector>
+
+#include "write_file.h"
 
 namespace {
 
@@ -122,22 +121,6 @@ class MemoryArchive final : public openvdb::io::Archive {
         return out.str();
     }
 };
-
-/// Empty, or the reason why `path` could not be written; then no part of it stays.
-std::string writeFile(const std::string& path, const std::string& bytes) {
-    std::FILE* file = std::fopen(path.c_str(), "wb");
-    if (!file) return std::strerror(errno);
-    errno = 0;
-    const bool written = std::fwrite(bytes.data(), 1, bytes.size(), file) == bytes.size();
-    int reason = errno;
-    const bool closed = std::fclose(file) == 0;
-    if (written && closed) return {};
-    if (written) reason = errno;
-    std::error_code ignored;
-    if (std::filesystem::is_regular_file(path, ignored))
-        std::filesystem::remove(path, ignored);
-    return std::strerror(reason);
-}
 
 }  // namespace
 

@@ -1,5 +1,7 @@
 // write_file.h - a file, whole or not at all.
 #pragma once
+#include <unistd.h>
+
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
@@ -8,18 +10,31 @@
 #include <string_view>
 #include <system_error>
 
-/// Empty, or the reason why `path` could not be written; then no part of it stays.
+/// Empty, or the reason why `path` could not be written; then what was there before still
+/// is. The bytes go to a file beside it that takes its name at the end; a pipe or a
+/// device is written to as it is.
 inline std::string writeFile(const std::string& path, std::string_view bytes) {
-    std::FILE* file = std::fopen(path.c_str(), "wb");
+    namespace fs = std::filesystem;
+    std::error_code problem;
+    const bool whole = !fs::exists(path, problem) || fs::is_regular_file(path, problem);
+    // What a link points to is replaced, not the link.
+    const fs::path target =
+        fs::exists(path, problem) ? fs::canonical(path, problem) : fs::path(path);
+    const std::string part =
+        whole ? target.string() + ".part" + std::to_string(::getpid()) : path;
+    std::FILE* file = std::fopen(part.c_str(), "wb");
     if (!file) return std::strerror(errno);
     errno = 0;
     const bool written = std::fwrite(bytes.data(), 1, bytes.size(), file) == bytes.size();
     int reason = errno;
     const bool closed = std::fclose(file) == 0;
-    if (written && closed) return {};
-    if (written) reason = errno;
+    if (written && !closed) reason = errno;
+    const bool good = written && closed;
+    if (!whole) return good ? std::string() : std::strerror(reason);
+    problem.clear();
+    if (good) fs::rename(part, target, problem);
+    if (good && !problem) return {};
     std::error_code ignored;
-    if (std::filesystem::is_regular_file(path, ignored))
-        std::filesystem::remove(path, ignored);
-    return std::strerror(reason);
+    fs::remove(part, ignored);
+    return good ? problem.message() : std::strerror(reason);
 }

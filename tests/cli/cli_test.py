@@ -452,6 +452,17 @@ class Job(ToolTest):
         self.assertEqual((j["width"], j["height"], j["light"]["radius"]), (32, 16, 0.25))
         self.assertAlmostEqual(j["zRange"][1], 4 + j["projections"][0]["eye"][1] - 4, places=5)
         self.good(self.job(JOB.replace("[map]", "target = [0, 0, 0]\n[map]"), "--light-direction", "0,-1,0"))
+        # It also wins over what has no meaning beside it.
+        rect = JOB.replace("radius = 0.3", 'shape = "rect"\nsize = [1, 1]').replace("64", "64\nfov = 90")
+        for job, options, shape in ((JOB, ["--light-angle", 1, "--light-direction", "0,-1,0"], "sun"),
+                                    (JOB, ["--light-shape", "point"], "point"),
+                                    (JOB.replace("radius", 'shape = "sphere"\nradius'),
+                                     ["--light-radius", 0.25], "sphere"),
+                                    (rect, ["--light-radius", 0.25], "disk"),
+                                    (rect, ["--projection", "cube"], "rect")):
+            with self.subTest(options=options):
+                self.good(self.job(job, *options))
+                self.assertEqual(json.loads(run("dump", "a.mtsm", "--json").stdout)["light"]["shape"], shape)
 
     def test_every_option_of_the_help_is_a_key(self):
         for option in OPTIONS["bake"].split():
@@ -578,7 +589,14 @@ class Job(ToolTest):
         # What the command line's own checks find has a place too.
         self.wrong(JOB.replace("radius = 0.3", "radius = -1"), 4, "job.toml:3:1: light.radius", '"-1"',
                    "at least 0")
-        self.wrong(JOB.replace("64", "64\nresets = \"some\""), 2, "--resets", '"some"')
+        self.wrong(JOB.replace("64", "64\nresets = \"some\""), 4, "job.toml:7:1: map.resets", '"some"')
+        self.wrong(JOB.replace("64", "[100000, 4]"), 4, "job.toml:6:1: map.resolution", "100000x4")
+        self.wrong('max-memory = "12Q"\n' + JOB, 4, "job.toml:1:1: max-memory", '"12Q"')
+        # So has what is wrong only beside something else.
+        self.wrong(JOB.replace("64", "64\nnear = 5\nfar = 2"), 4, "job.toml:7:1: map.near", "less than far")
+        self.wrong(JOB.replace("64", '64\ncodec = "none"\nlevel = 3'), 4, "job.toml:8:1: map.level")
+        self.wrong(JOB.replace("radius = 0.3", 'shape = "sun"\nangle = 1'), 4, "light.position", "a sun light")
+        self.fails(self.job(JOB.replace("64", "64\nfar = 2"), "--near", 5), 2, "--near")
         self.wrong(JOB.replace("radius = 0.3", "target = [0, 0, 0]\ndirection = [0, -1, 0]"), 4,
                    "exclude each other")
 
@@ -593,7 +611,8 @@ class Job(ToolTest):
 
     def test_hostile_jobs_are_bad_files(self):
         nested = "a = " + "[" * 100000
-        for text in (nested, "\0" * 100, "a" * 100000, "a.b" * 3000 + " = 1", '"\x1b[2J" = 1',
+        for text in (nested, ".".join("a" * 50000) + " = 1", "[" + ".".join("a" * 50000) + "]",
+                     'output = "a\\u0000b"', "\0" * 100, "a" * 100000, "a.b" * 3000 + " = 1", '"\x1b[2J" = 1',
                      "x = " + "9" * 400, "[map]\nresolution = 99999999999999999999", "\ufeff[map"):
             with self.subTest(text=text[:20]):
                 done = self.job(text)

@@ -130,6 +130,74 @@ TEST_CASE("an OBJ gives its faces and its polylines", "[scene]") {
     CHECK(strands.opacity == 0.25f);
 }
 
+TEST_CASE("lines of an OBJ are strands, and so not ignored", "[scene]") {
+    const TempFolder folder;
+    CasterFile both = at(folder.write("both.obj", std::string(kTriangle) + "l 1 2 3\n"));
+    both.hairWidth = 0.5f;
+    std::vector<std::string> warnings;
+    CasterFilesOptions options;
+    options.warn = [&](const std::string& text) { warnings.push_back(text); };
+    CasterFiles files({both}, options);
+    REQUIRE(see(files).status);
+    CHECK(warnings.empty());
+}
+
+TEST_CASE("a width of strands is in world units whatever the transform", "[scene]") {
+    const TempFolder folder;
+    CasterFile hair = at(folder.write("a.hair", hairBytes()));
+    hair.transform = glm::scale(hair.transform, glm::dvec3(4, 4, -4));
+    hair.hairWidth = 0.5f;
+    CHECK(see({hair}).width == 0.125f);  // which the transform makes 0.5
+    hair.hairTipWidth = 0.25f;
+    CHECK(see({hair}).width == 0.125f);
+    hair.hairWidth = hair.hairTipWidth = std::nullopt;
+    CHECK(see({hair}).width == 0.25f);  // the file's
+}
+
+TEST_CASE("settings of an OBJ that it has no use for are warned of", "[scene]") {
+    const TempFolder folder;
+    CasterFile faces = at(folder.write("faces.obj", kTriangle));
+    CasterFile lines = at(folder.write("lines.obj", kLines));
+    const auto warnings = [](const std::vector<CasterFile>& list) {
+        std::string all;
+        CasterFilesOptions options;
+        options.warn = [&](const std::string& text) { all += text + "\n"; };
+        CasterFiles files(list, options);
+        for (int visit = 0; visit < 2; ++visit)
+            CHECK(see(files).status);
+        return all;
+    };
+    faces.hairWidth = lines.hairWidth = 0.5f;
+    CHECK(warnings({faces}) ==
+          faces.path +
+              ": hair-width has no effect: the file holds no strands "
+              "(polylines)\n");
+    lines.opacity = 0.5f;
+    CHECK(warnings({lines}) ==
+          lines.path + ": opacity has no effect: the file holds no faces\n");
+    faces.opacity = 0.5f;
+    CHECK(warnings({faces, lines}).empty());  // each is of use to one of them
+}
+
+TEST_CASE("files are kept between visits in their order, while they fit", "[scene]") {
+    const TempFolder folder;
+    // Two meshes that cannot stand together. A comment makes the second a long file.
+    CasterFile small = at(folder.write("small.obj", kTriangle), {0, 0, 1});
+    const CasterFile large = at(folder.write(
+        "large.obj", kTriangle + std::string(std::size_t(1) << 20, '#') + "\n"));
+    std::vector<std::string> read;
+    CasterFilesOptions options;
+    options.cacheBytes = 4096;  // enough for both, whatever the files' lengths
+    options.progress = [&](const std::string& path) {
+        read.push_back(path);
+        return true;
+    };
+    CasterFiles files({small, large}, options);
+    REQUIRE(see(files).status);
+    REQUIRE(see(files).status);
+    CHECK(read == std::vector<std::string>{small.path, large.path});
+}
+
 TEST_CASE("meshes with the same settings share include, others do not", "[scene]") {
     const TempFolder folder;
     CasterFile tri = at(folder.write("tri.obj", kTriangle));

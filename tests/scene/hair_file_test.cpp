@@ -420,6 +420,10 @@ TEST_CASE("a broken OBJ polyline is refused with its line", "[scene][hair][bad-i
     refused(two + "l \\\n1\n", "line 3: a polyline has 1 point,");
     refused(two + "v 1 2\n", "line 3: found \"\" where a vertex has coordinate 3");
     refused(two + "f 1 2 2\n", "no polyline");
+    std::string many = "l";
+    for (int i = 0; i < 65537; ++i)
+        many += " 1";
+    refused(two + many, "line 3: a polyline has more than 65536 points");
     const SeenHair nan =
         seeHair(folder.write("nan.obj", "v nan 0 0\nv 1 0 0\nv 2 0 0\nl 1 2\nl 2 3 2"));
     CHECK(nan.strands.size() == 1);

@@ -614,3 +614,30 @@ TEST_CASE("a texture frame that breaks a rule is refused", "[scene][bad-input]")
     bad.opacity = 2;
     CHECK(!sent(bad, {0, 1}));
 }
+
+TEST_CASE("all textures of a file count against the importer's limit",
+          "[scene][bad-input]") {
+    using namespace mtsm::scene;
+    const auto sent = [](int images) {
+        ImportSink sink;
+        sink.texture = [](OpacityImage&&) { return Status{}; };
+        const test::TempFolder folder;
+        return importFile(
+            folder.write("a.obj", "x"), std::uint64_t(1) << 20,
+            [&](FrameWriter& out) {
+                OpacityImage image;
+                image.width = 384;
+                image.height = 256;
+                image.texels.assign(std::size_t(384) * 256, 1.0f);  // 384 KiB
+                for (int i = 0; i < images; ++i)
+                    out.texture(image);
+                out.end();
+            },
+            sink);
+    };
+    CHECK(sent(2));
+    const Status three = sent(3);
+    REQUIRE_FALSE(three);
+    CHECK(three.error().code == ErrorCode::tooLarge);
+    CHECK(contains(three.error().message, "a.obj"));
+}

@@ -338,7 +338,7 @@ TEST_CASE("what is visited again is the same, kept or not", "[scene][volume]") {
     CHECK(see(fresh).voxels == voxelsOf(*grid));
     write(folder, "again.vdb", {scattered("density", 7)});
     const auto changed = see(fresh);
-    CHECK(contains(changed.error(), "the file changed"));
+    CHECK(contains(changed.error(), "has changed"));
     const auto cancelled = see(fresh);
     REQUIRE(!cancelled.status);
     CHECK(cancelled.status.error().code == ErrorCode::cancelled);
