@@ -112,37 +112,62 @@ void addPolygon(const raster::Polygon& polygon, const Depths& depths, Extent& ex
         extent.include(kept.corner[i], depths.perspective);
 }
 
-/// Segment by segment, as wide as the strand is there.
+/// Of strands [first, last), segment by segment, as wide as the strand is there.
+Extent measureStrands(const StrandsView& view, std::size_t first, std::size_t last,
+                      const LightFromObject& lightFromObject, double scale,
+                      const Depths& depths) {
+    Extent extent;
+    const auto segment = [&](glm::dvec3 a, glm::dvec3 b, double width) {
+        if (!(usable(a) && usable(b) && width > 0.0)) return;
+        // Off the axis a ribbon that faces the eye is wider, and twice that in a bend.
+        double half = scale * width;
+        if (depths.perspective)
+            half *=
+                std::max(glm::length(a) / std::abs(a.z), glm::length(b) / std::abs(b.z));
+        if (!std::isfinite(half)) half = 0.0;  // in the eye's plane
+        const bool within =
+            std::min(a.z, b.z) >= depths.near && std::max(a.z, b.z) <= depths.far;
+        const glm::dvec3 sides[2] = {{half, half, 0.0}, {half, -half, 0.0}};
+        for (const glm::dvec3 d : sides) {
+            raster::Polygon ribbon;
+            for (const glm::dvec3 p : {a - d, a + d, b + d, b - d}) {
+                if (within)
+                    extent.include(p, depths.perspective);
+                else
+                    ribbon.add(p);
+            }
+            if (!within) addPolygon(ribbon, depths, extent);
+        }
+    };
+    for (std::size_t s = first; s < last; ++s) {
+        if (view.begin[s] == view.begin[s + 1]) continue;
+        glm::dvec3 a = lightFromObject(view.points[view.begin[s]]);
+        for (std::uint32_t i = view.begin[s]; i + 1 < view.begin[s + 1]; ++i) {
+            const glm::dvec3 b = lightFromObject(view.points[i + 1]);
+            segment(
+                a, b,
+                view.widths ? std::max(view.widths[i], view.widths[i + 1]) : view.width);
+            a = b;
+        }
+    }
+    return extent;
+}
+
 Extent measureStrands(const StrandsView& view, const Projection& frame,
                       const Depths& depths) {
+    constexpr std::size_t kChunk = 1024;  // strands
     const LightFromObject lightFromObject(frame, view.worldFromObject);
     const double scale =
         std::cbrt(std::abs(glm::determinant(glm::dmat3(view.worldFromObject))));
+    const std::size_t chunks = (view.strandCount + kChunk - 1) / kChunk;
+    std::vector<Extent> parts(chunks);
+    base::parallelFor(std::size_t(0), chunks, [&](std::size_t i) {
+        const std::size_t last = std::min(view.strandCount, (i + 1) * kChunk);
+        parts[i] = measureStrands(view, i * kChunk, last, lightFromObject, scale, depths);
+    });
     Extent extent;
-    for (std::size_t s = 0; s < view.strandCount; ++s) {
-        for (std::uint32_t i = view.begin[s]; i + 1 < view.begin[s + 1]; ++i) {
-            const glm::dvec3 a = lightFromObject(view.points[i]),
-                             b = lightFromObject(view.points[i + 1]);
-            if (!(usable(a) && usable(b))) continue;
-            const double width =
-                view.widths ? std::max(view.widths[i], view.widths[i + 1]) : view.width;
-            // Off the axis a ribbon that faces the eye is wider, and twice that in a
-            // bend.
-            double half = scale * width;
-            if (depths.perspective)
-                half *= std::max(glm::length(a) / std::abs(a.z),
-                                 glm::length(b) / std::abs(b.z));
-            const glm::dvec3 side(half, half, 0.0);
-            const glm::dvec3 other(side.x, -side.y, 0.0);
-            if (!(width > 0.0 && std::isfinite(side.x))) continue;
-            for (const glm::dvec3 d : {side, other}) {
-                raster::Polygon ribbon;
-                for (const glm::dvec3 p : {a - d, a + d, b + d, b - d})
-                    ribbon.add(p);
-                addPolygon(ribbon, depths, extent);
-            }
-        }
-    }
+    for (const Extent& part : parts)
+        extent.add(part);
     return extent;
 }
 
