@@ -220,7 +220,9 @@ void addLayerOptions(CLI::App& app, Arguments& a) {
         ->group(group);
     app.add_flag("--color", a.color,
                  "keep visibility of red, green and blue apart, for\n"
-                 "casters that tint the light (default: one grey)")
+                 "casters that tint the light (default: one grey);\n"
+                 "of opacity a and tint c, (1-a)(1-a(1-c)) passes,\n"
+                 "so tinted glass is darker than in grey")
         ->group(group);
     app.add_flag("--keep-hidden", a.keepHidden,
                  "keep layers that no point of the light can see")
@@ -642,8 +644,13 @@ void sayWhatWasKept(Talk& talk, const Baked& baked) {
         listOf({{r.droppedByLayers, cap.c_str()},
                 {r.droppedByResets, "samples behind the last reset"},
                 {r.droppedHidden, "layers that no point of the light sees"}});
-    talk.say("kept " + countText(baked.map.layerCount()) + " layers; dropped " +
-             (dropped.empty() ? "nothing" : dropped) + "; tolerance " +
+    // What is neither in a layer of its own nor dropped was merged with others.
+    const std::uint64_t gone =
+        r.droppedByLayers + r.droppedByResets + r.droppedHidden + baked.map.layerCount();
+    const std::uint64_t merged = info.samples > gone ? info.samples - gone : 0;
+    talk.say("kept " + countText(baked.map.layerCount()) + " layers" +
+             (merged ? ", " + countText(merged) + " samples merged into them" : "") +
+             "; dropped " + (dropped.empty() ? "nothing" : dropped) + "; tolerance " +
              shortText(info.toleranceAsked) + ", reached " +
              shortText(info.toleranceReached) + ", in " + secondsText(r.compressSeconds));
     if (r.pixelsOverTolerance)

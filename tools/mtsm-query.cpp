@@ -51,8 +51,9 @@ constexpr const char* kExamples =
     "  a renderer's passes to a shadow pass:\n"
     "    mtsm-query key.mtsm --position beauty.exr --normal-pass beauty.exr \\\n"
     "               --samples 256 -o shadow.exr --stats\n"
-    "  a look at the floor, from (-2,0,2) two units to the right and back:\n"
-    "    mtsm-query key.mtsm --plane -2,0,2,4,0,0,0,0,-4 --size 512x512 -o floor.png\n"
+    "  the floor seen from above, four units wide around the origin, x to the right\n"
+    "  and z down; the first row of the picture is at O:\n"
+    "    mtsm-query key.mtsm --plane -2,0,-2,4,0,0,0,0,4 --size 512x512 -o floor.png\n"
     "  rays of your own:\n"
     "    mtsm-query key.mtsm --rays rays.csv > visibility.csv\n";
 
@@ -123,8 +124,8 @@ void addOptions(CLI::App& app, Arguments& a) {
     addText(app, "--normal-layer", a.normalLayer, "NAME", "their layer")->group("Input");
     addText(app, "--plane", a.plane, "OX,OY,OZ,UX,UY,UZ,VX,VY,VZ",
             "points O + U (i + 0.5) / W + V (j + 0.5) / H of\n"
-            "a W x H picture; their normal is cross(U, V),\n"
-            "turned to the light's side")
+            "a W x H picture, first row at O; their normal is\n"
+            "cross(U, V), turned to the light's side")
         ->group("Input");
     addText(app, "--size", a.size, "N|WxH", "pixels of --plane")->group("Input");
     app.add_flag("--no-normal", a.noNormal, "ask for --plane's points without a normal")

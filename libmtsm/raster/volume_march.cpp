@@ -25,7 +25,6 @@ constexpr double kLeastDepth = 0x1p-24;
 /// Pixels [x0, x1) x [y0, y1).
 struct PixelBox {
     std::uint32_t x0 = 0, y0 = 0, x1 = 0, y1 = 0;
-    bool cut = false;  ///< there would be more of them outside the raster
     [[nodiscard]] bool empty() const noexcept { return x0 >= x1 || y0 >= y1; }
 };
 
@@ -58,11 +57,28 @@ PixelBox pixelsOf(const VolumeIndex& index, const CellsFrom& lightCells,
     const auto clamp = [](double v, double most) {
         return std::uint32_t(std::clamp(v, 0.0, most));
     };
-    const bool cut =
-        whole || low.x < 0.0 || low.y < 0.0 || high.x > width || high.y > height;
     return {clamp(std::floor(low.x) - 1.0, width), clamp(std::floor(low.y) - 1.0, height),
-            clamp(std::ceil(high.x) + 1.0, width), clamp(std::ceil(high.y) + 1.0, height),
-            cut};
+            clamp(std::ceil(high.x) + 1.0, width),
+            clamp(std::ceil(high.y) + 1.0, height)};
+}
+
+/// Does a corner of a block lie between near and far, but outside the window?
+bool leavesWindow(const VolumeView& view, const LightFromObject& lightFromIndex,
+                  const Projection& projection, const SampleGrid& grid) {
+    constexpr double kRounding = 1e-6;  // pixels
+    for (std::size_t i = 0; i < view.blockCount; ++i) {
+        for (int corner = 0; corner < 8; ++corner) {
+            const glm::ivec3 at(corner & 1, corner >> 1 & 1, corner >> 2);
+            const glm::dvec3 p = lightFromIndex(
+                glm::vec3(view.blocks[i] + at * VolumeView::kBlockSide) - 0.5f);
+            if (!(p.z > std::max(projection.near, 0.0) && p.z < projection.far)) continue;
+            const glm::dvec2 r = projection.rasterFromLight(p);
+            if (r.x < -kRounding || r.y < -kRounding || r.x > grid.width() + kRounding ||
+                r.y > grid.height() + kRounding)
+                return true;
+        }
+    }
+    return false;
 }
 
 /// Where the samples of one ray go.
@@ -97,8 +113,6 @@ class March {
           index_(index),
           cells_(lightCells),
           pixels_(pixelsOf(index, lightCells, projection, grid)) {}
-
-    [[nodiscard]] bool leavesWindow() const noexcept { return pixels_.cut; }
 
     /// The tiles that may get samples, row by row.
     [[nodiscard]] std::vector<glm::uvec2> tiles() const {
@@ -169,7 +183,7 @@ Status VolumeMarcher::add(const VolumeView& volume) {
     if (!cells) ++counts_.flat;
     if (!cells || index.empty() || !(volume.extinction > 0.0f)) return {};
     const March march(projection_, grid_, index, *cells);
-    counts_.leavesWindow += march.leavesWindow();
+    counts_.leavesWindow += leavesWindow(volume, lightFromIndex, projection_, grid_);
     const std::vector<glm::uvec2> tiles = march.tiles();
     std::vector<VolumeCounts> counts(kBatchTiles);
     for (std::size_t first = 0; first < tiles.size() && !grid_.overrun();

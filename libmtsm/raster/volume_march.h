@@ -28,7 +28,7 @@ struct VolumeCounts {
     std::uint64_t flat = 0;     ///< of those, skipped: their transform is singular
     std::uint64_t voxels = 0;   ///< crossed, of density > 0, over all rays
     std::uint64_t samples = 0;  ///< added
-    /// Of the volumes, those whose box reaches out of the window between near and far.
+    /// Of the volumes, those with a block that reaches out of the window.
     std::uint64_t leavesWindow = 0;
 };
 

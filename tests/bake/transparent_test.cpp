@@ -109,6 +109,7 @@ TEST_CASE("a homogeneous slab of extinction s leaves exp(-s d) of a ray through 
         o.tolerance = 0.0f;
         const ShadowMap map = mustBake(casters, o);
         CHECK(map.info().translucent == Translucent::media);
+        CHECK_FALSE(map.info().castersClipped);  // the window was fitted
         // Along centre rays every voxel's chord is there: exact.
         const Projection& p = map.projection(0);
         for (const glm::dvec2 at : {glm::dvec2(40, 70), glm::dvec2(64, 64)}) {
@@ -133,6 +134,14 @@ TEST_CASE("a homogeneous slab of extinction s leaves exp(-s d) of a ray through 
         }
         CHECK(sum / rays == Approx(expected / rays).epsilon(0.01));
     }
+}
+
+TEST_CASE("a volume that the window cuts is said to be clipped", "[bake]") {
+    Slab slab(12, 0.05, 1.0f);
+    CasterViews casters({slab.view});
+    BakeOptions o = above();
+    o.fov = 0.2;
+    CHECK(mustBake(casters, o).info().castersClipped);
 }
 
 TEST_CASE("rays far off the axis pay for their whole way through a medium",
