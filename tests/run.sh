@@ -18,6 +18,7 @@ for preset in dev asan; do
 done
 echo "=== tsan: what is threaded"
 cmake --preset tsan >/dev/null
-cmake --build --preset tsan --parallel "$jobs" --target test_format test_raster test_bake test_shadow
-ctest --preset tsan --parallel "$jobs" -L '^(format|raster|bake|shadow)$' -E 'python|reader.py'
+cmake --build --preset tsan --parallel "$jobs" --target test_compress test_format test_raster test_bake \
+    test_shadow
+ctest --preset tsan --parallel "$jobs" -L '^(compress|format|raster|bake|shadow)$' -E 'python|reader.py'
 echo "All tests passed, plain and with sanitizers."
