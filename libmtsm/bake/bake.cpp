@@ -147,8 +147,7 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
     const bool surfaces = !kinds->translucent && options.subsamples == 1;
     settings.layers = options.layers.value_or(surfaces ? kOpaqueLayers : 0);
     settings.bytesLeft = options.maxBytes - fixed;
-    const bool nearest =
-        !kinds->translucent && options.subsamples == 1 && settings.layers <= kMostNearest;
+    const bool nearest = surfaces && settings.layers <= kMostNearest;
     MapInfo info = describe(options, *placed, *kinds, settings);
     BakeReport report;
     std::vector<MapFace> faces;

@@ -66,16 +66,8 @@ Rasteriser::Rasteriser(const Projection& fine, std::uint32_t fineWidth,
       setup_(fine, fineWidth, fineHeight, keep),
       subsampleShift_(std::uint32_t(std::countr_zero(subsamples))),
       afterBatch_(std::move(afterBatch)),
-      slices_(kSlices) {
-    const auto bins = [](std::uint32_t pixels, std::uint32_t shift) {
-        return ((pixels - 1) >> shift) + 1;
-    };
-    binShift_ = kTileShift + subsampleShift_;
-    do {
-        binsX_ = bins(width_, binShift_);
-        binsY_ = bins(height_, binShift_);
-    } while (binsX_ * binsY_ > kMostBins && ++binShift_);
-}
+      bins_(fineWidth, fineHeight, kTileShift + subsampleShift_, kMostBins),
+      slices_(kSlices) {}
 
 Rasteriser::Rasteriser(const Projection& projection, Facing keep, KBuffer& buffer,
                        AfterBatch afterBatch)
@@ -154,33 +146,9 @@ void Rasteriser::prepare(const MeshView& mesh, std::size_t first, std::uint32_t 
     });
 }
 
-/// A counting sort.
-void Rasteriser::sortIntoBins(Slice& slice) const {
-    const auto forEachBin = [&](std::uint32_t triangle, auto&& visit) {
-        const PixelRect r = slice.triangles[triangle].pixels();
-        for (std::int32_t y = r.y0 >> binShift_; y <= r.y1 >> binShift_; ++y) {
-            for (std::int32_t x = r.x0 >> binShift_; x <= r.x1 >> binShift_; ++x)
-                visit(std::uint32_t(y) * binsX_ + std::uint32_t(x));
-        }
-    };
-    const auto triangles = std::uint32_t(slice.triangles.size());
-    std::vector<std::uint32_t>& begin = slice.begin;
-    begin.assign(std::size_t(binsX_) * binsY_ + 1, 0);
-    for (std::uint32_t i = 0; i < triangles; ++i)
-        forEachBin(i, [&](std::uint32_t bin) { ++begin[bin]; });
-    std::uint32_t total = 0;
-    for (std::uint32_t& b : begin) {  // to where each bin ends
-        total += b;
-        b = total;
-    }
-    slice.order.resize(total);
-    for (std::uint32_t i = triangles; i-- > 0;)
-        forEachBin(i, [&](std::uint32_t bin) { slice.order[--begin[bin]] = i; });
-}
-
 void Rasteriser::drawBin(std::uint32_t bin) const {
-    const auto x = std::int32_t(bin % binsX_), y = std::int32_t(bin / binsX_);
-    const std::int32_t side = 1 << binShift_;
+    const auto x = std::int32_t(bin % bins_.x), y = std::int32_t(bin / bins_.x);
+    const std::int32_t side = 1 << bins_.shift;
     const PixelRect pixels = intersect(
         {x * side, y * side, (x + 1) * side - 1, (y + 1) * side - 1}, wantedPixels());
     if (pixels.empty()) return;
@@ -276,9 +244,10 @@ void Rasteriser::drawInGrid(const PreparedTriangle& t, const Surface& surface,
 
 Status Rasteriser::flush() {
     base::parallelFor(std::uint32_t(0), kSlices, [&](std::uint32_t s) {
-        if (slices_[s].taken) sortIntoBins(slices_[s]);
+        Slice& slice = slices_[s];
+        if (slice.taken) bins_.sort(slice.triangles, slice.begin, slice.order);
     });
-    base::parallelFor(std::uint32_t(0), binsX_ * binsY_,
+    base::parallelFor(std::uint32_t(0), bins_.count(),
                       [&](std::uint32_t bin) { drawBin(bin); });
     for (Slice& slice : slices_) {
         counts_.add(slice.counts);

@@ -20,6 +20,7 @@
 #include "mtsm/map.h"
 #include "mtsm/result.h"
 #include "mtsm/scene.h"
+#include "raster/bins.h"
 #include "raster/kbuffer.h"
 #include "raster/sample_grid.h"
 #include "raster/surface.h"
@@ -64,7 +65,6 @@ class Rasteriser {
     Rasteriser(const Projection& fine, std::uint32_t fineWidth, std::uint32_t fineHeight,
                std::uint32_t subsamples, Facing keep, AfterBatch afterBatch);
     void prepare(const MeshView& mesh, std::size_t first, std::uint32_t count);
-    void sortIntoBins(Slice& slice) const;
     void drawBin(std::uint32_t bin) const;
     template <ProjectionKind kind>
     void drawInBin(const PreparedTriangle& t, PixelRect bin) const;
@@ -81,7 +81,7 @@ class Rasteriser {
     SampleGrid* grid_ = nullptr;
     std::uint32_t subsampleShift_ = 0;
     AfterBatch afterBatch_;
-    std::uint32_t binShift_ = 0, binsX_ = 0, binsY_ = 0;
+    Bins bins_;
     std::vector<Slice> slices_;
     std::uint32_t pending_ = 0;     // triangles in slices_
     std::vector<Vertex> vertices_;  // of the chunk at work

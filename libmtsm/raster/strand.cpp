@@ -36,16 +36,8 @@ StrandRasteriser::StrandRasteriser(const Projection& projection, SampleGrid& gri
     : projection_(projection),
       grid_(grid),
       afterBatch_(std::move(afterBatch)),
-      slices_(kSlices) {
-    const auto bins = [](std::uint32_t pixels, std::uint32_t shift) {
-        return ((pixels - 1) >> shift) + 1;
-    };
-    binShift_ = SampleGrid::kTileShift;
-    do {
-        binsX_ = bins(grid.width(), binShift_);
-        binsY_ = bins(grid.height(), binShift_);
-    } while (binsX_ * binsY_ > kMostBins && ++binShift_);
-}
+      bins_(grid.width(), grid.height(), SampleGrid::kTileShift, kMostBins),
+      slices_(kSlices) {}
 
 StrandRasteriser::~StrandRasteriser() = default;
 
@@ -86,32 +78,6 @@ Status StrandRasteriser::finish() {
     return slices_[0].taken > 0 ? flush() : Status{};
 }
 
-/// A counting sort.
-void StrandRasteriser::sortIntoBins(Slice& slice) const {
-    const auto forEachBin = [&](std::uint32_t segment, auto&& visit) {
-        const PreparedSegment& p = slice.segments[segment];
-        for (std::uint32_t y = p.y0 >> binShift_; y <= std::uint32_t(p.y1) >> binShift_;
-             ++y) {
-            for (std::uint32_t x = p.x0 >> binShift_;
-                 x <= std::uint32_t(p.x1) >> binShift_; ++x)
-                visit(y * binsX_ + x);
-        }
-    };
-    const auto segments = std::uint32_t(slice.segments.size());
-    std::vector<std::uint32_t>& begin = slice.begin;
-    begin.assign(std::size_t(binsX_) * binsY_ + 1, 0);
-    for (std::uint32_t i = 0; i < segments; ++i)
-        forEachBin(i, [&](std::uint32_t bin) { ++begin[bin]; });
-    std::uint32_t total = 0;
-    for (std::uint32_t& b : begin) {  // to where each bin ends
-        total += b;
-        b = total;
-    }
-    slice.order.resize(total);
-    for (std::uint32_t i = segments; i-- > 0;)
-        forEachBin(i, [&](std::uint32_t bin) { slice.order[--begin[bin]] = i; });
-}
-
 void StrandRasteriser::drawBin(std::uint32_t bin) {
     const auto empty = [&](const Slice& s) {
         return s.taken == 0 || s.begin[bin] == s.begin[bin + 1];
@@ -126,8 +92,8 @@ void StrandRasteriser::drawBin(std::uint32_t bin) {
         }
     }
     if (!runs) runs = std::make_unique<TileRuns>(projection_);
-    const std::uint32_t tiles = 1u << (binShift_ - SampleGrid::kTileShift);
-    const std::uint32_t firstX = bin % binsX_ * tiles, firstY = bin / binsX_ * tiles;
+    const std::uint32_t tiles = 1u << (bins_.shift - SampleGrid::kTileShift);
+    const std::uint32_t firstX = bin % bins_.x * tiles, firstY = bin / bins_.x * tiles;
     for (std::uint32_t ty = firstY; ty < std::min(firstY + tiles, grid_.tilesY()); ++ty) {
         for (std::uint32_t tx = firstX; tx < std::min(firstX + tiles, grid_.tilesX());
              ++tx) {
@@ -157,9 +123,10 @@ void StrandRasteriser::drawTile(std::uint32_t tx, std::uint32_t ty, std::uint32_
 
 Status StrandRasteriser::flush() {
     base::parallelFor(std::size_t(0), slices_.size(), [&](std::size_t s) {
-        if (slices_[s].taken) sortIntoBins(slices_[s]);
+        Slice& slice = slices_[s];
+        if (slice.taken) bins_.sort(slice.segments, slice.begin, slice.order);
     });
-    base::parallelFor(std::uint32_t(0), binsX_ * binsY_,
+    base::parallelFor(std::uint32_t(0), bins_.count(),
                       [&](std::uint32_t bin) { drawBin(bin); });
     for (Slice& slice : slices_) {
         counts_.add(slice.counts);

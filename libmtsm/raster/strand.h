@@ -38,6 +38,7 @@
 #include "mtsm/map.h"
 #include "mtsm/result.h"
 #include "mtsm/scene.h"
+#include "raster/bins.h"
 #include "raster/sample_grid.h"
 
 namespace mtsm::raster {
@@ -105,7 +106,6 @@ class StrandRasteriser {
         StrandCounts counts;
     };
 
-    void sortIntoBins(Slice& slice) const;
     void drawBin(std::uint32_t bin);
     void drawTile(std::uint32_t tx, std::uint32_t ty, std::uint32_t bin, TileRuns& runs);
     Status flush();
@@ -113,7 +113,7 @@ class StrandRasteriser {
     Projection projection_;
     SampleGrid& grid_;
     std::function<Status(std::uint64_t)> afterBatch_;
-    std::uint32_t binShift_ = 0, binsX_ = 0, binsY_ = 0;
+    Bins bins_;
     std::vector<Slice> slices_;
     std::size_t filling_ = 0;  // the slice that takes the next strand
     StrandCounts counts_;
