@@ -1,0 +1,79 @@
+// The map itself as a row of the comparison: baked, then traced or filtered.
+#include "baseline/methods.h"
+#include "mtsm/shadow.h"
+
+namespace mtsm::baseline {
+namespace {
+
+class MtsmMethod final : public Method {
+  public:
+    explicit MtsmMethod(ShadowMap map) : map_(std::move(map)) {}
+
+    [[nodiscard]] std::uint64_t memoryBytes() const noexcept override {
+        return map_.memoryBytes();
+    }
+    Status shadowFactors(const AreaLight& light, const Receivers& at,
+                         const Settings& settings, float* out) const override {
+        ShadowOptions options;
+        options.samples = settings.whole("samples");
+        options.bias = float(settings.number("query-bias"));
+        options.method =
+            settings.word("lookup") == "pcf" ? ShadowMethod::pcf : ShadowMethod::trace;
+        options.attenuation = settings.word("attenuation") == "subtract"
+                                  ? Attenuation::subtract
+                                  : Attenuation::multiply;
+        if (Status fine = checkQuery(map_, light, options); !fine) return fine;
+        mtsm::shadowFactors(map_, light, at.points, at.normals, at.count, out, options);
+        return {};
+    }
+
+  private:
+    ShadowMap map_;
+};
+
+Result<std::unique_ptr<Method>> build(const MethodScene& scene,
+                                      const Settings& settings) {
+    BakeOptions options = scene.bake;
+    options.width = options.height = std::uint32_t(settings.whole("resolution"));
+    if (const int layers = settings.whole("layers"); layers > 0)
+        options.layers = std::uint32_t(layers);
+    options.tolerance = float(settings.number("tolerance"));
+    options.subsamples = std::uint32_t(settings.whole("subsamples"));
+    if (const double bias = settings.number("bias"); bias >= 0.0)
+        options.bias = float(bias);
+    auto baked = bake(scene.casters, options);
+    if (!baked) return baked.error();
+    return std::unique_ptr<Method>(new MtsmMethod(std::move(baked->map)));
+}
+
+}  // namespace
+
+MethodInfo mtsmMethod() {
+    MethodInfo info;
+    info.name = "mtsm";
+    info.title = "multilayer transparent shadow map, ray traced";
+    info.source = "[Xie07]";
+    info.settings = {
+        wholeSetting("resolution", 1024, 1, kMaxResolution, "pixels per side of the map",
+                     SettingUse::build),
+        wholeSetting("layers", 0, 0, 64, "cap on a pixel's layers; 0: as mtsm-bake",
+                     SettingUse::build),
+        numberSetting("tolerance", 0.005, 0.0, 1.0, "error that compression may bring",
+                      SettingUse::build),
+        wordSetting("subsamples", {"1", "2", "4", "8"}, "centre rays per side of a pixel",
+                    SettingUse::build),
+        numberSetting("bias", -1.0, -1.0, 1e9,
+                      "z threshold of the map, world units; -1: as mtsm-bake",
+                      SettingUse::build),
+        wholeSetting("samples", 256, 1, kMaxSamples, "rays per point"),
+        numberSetting("query-bias", -1.0, -1.0, 1e9,
+                      "z threshold of the query, world units; -1: the map's own"),
+        wordSetting("lookup", {"trace", "pcf"},
+                    "traced, or filtered as small lights may"),
+        wordSetting("attenuation", {"multiply", "subtract"}, "how samples add up"),
+    };
+    info.build = build;
+    return info;
+}
+
+}  // namespace mtsm::baseline

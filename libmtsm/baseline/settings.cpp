@@ -1,0 +1,148 @@
+#include "baseline/settings.h"
+
+#include <algorithm>
+#include <cassert>
+#include <charconv>
+#include <cmath>
+
+#include "base/message.h"
+#include "base/printable.h"
+
+namespace mtsm::baseline {
+namespace {
+
+std::string joined(const std::vector<std::string>& names) {
+    std::string text;
+    for (const std::string& name : names)
+        text += (text.empty() ? "" : ", ") + name;
+    return text;
+}
+
+std::string expected(const SettingInfo& info) {
+    if (std::holds_alternative<bool>(info.fallback)) return "true or false";
+    if (std::holds_alternative<std::string>(info.fallback))
+        return "one of " + joined(info.words);
+    return std::string(info.whole ? "a whole number" : "a number") + " from " +
+           settingText(info.least) + " to " + settingText(info.most);
+}
+
+bool fits(const SettingInfo& info, const SettingValue& value) {
+    if (value.index() != info.fallback.index()) return false;
+    if (const auto* number = std::get_if<double>(&value))
+        return *number >= info.least && *number <= info.most &&
+               !(info.whole && *number != std::floor(*number));
+    if (const auto* word = std::get_if<std::string>(&value))
+        return std::find(info.words.begin(), info.words.end(), *word) != info.words.end();
+    return true;
+}
+
+/// Insertions, deletions, replacements that make one of the other.
+std::size_t editDistance(const std::string& a, const std::string& b) {
+    std::vector<std::size_t> row(b.size() + 1);
+    for (std::size_t j = 0; j <= b.size(); ++j)
+        row[j] = j;
+    for (std::size_t i = 1; i <= a.size(); ++i) {
+        std::size_t diagonal = row[0];
+        row[0] = i;
+        for (std::size_t j = 1; j <= b.size(); ++j) {
+            const std::size_t replaced = diagonal + (a[i - 1] == b[j - 1] ? 0 : 1);
+            diagonal = row[j];
+            row[j] = std::min({row[j] + 1, row[j - 1] + 1, replaced});
+        }
+    }
+    return row[b.size()];
+}
+
+}  // namespace
+
+std::string settingText(const SettingValue& value) {
+    if (const auto* flag = std::get_if<bool>(&value)) return *flag ? "true" : "false";
+    if (const auto* word = std::get_if<std::string>(&value)) return *word;
+    char text[32];
+    const auto end = std::to_chars(text, text + sizeof text, std::get<double>(value));
+    return std::string(text, end.ptr);
+}
+
+SettingInfo wholeSetting(std::string name, double fallback, double least, double most,
+                         std::string help, SettingUse use) {
+    return {std::move(name), fallback, use, std::move(help), least, most, true, {}};
+}
+SettingInfo numberSetting(std::string name, double fallback, double least, double most,
+                          std::string help, SettingUse use) {
+    return {std::move(name), fallback, use, std::move(help), least, most, false, {}};
+}
+SettingInfo flagSetting(std::string name, bool fallback, std::string help,
+                        SettingUse use) {
+    return {std::move(name), fallback, use, std::move(help), 0.0, 0.0, false, {}};
+}
+SettingInfo wordSetting(std::string name, std::vector<std::string> words,
+                        std::string help, SettingUse use) {
+    std::string fallback = words.front();
+    return {std::move(name), std::move(fallback), use, std::move(help), 0.0, 0.0,
+            false,           std::move(words)};
+}
+
+std::string nearestName(const std::string& wrong, const std::vector<std::string>& names) {
+    std::string nearest;
+    std::size_t least = std::max<std::size_t>(2, wrong.size() / 3) + 1;
+    for (const std::string& name : names) {
+        const std::size_t distance = editDistance(wrong, name);
+        if (distance < least) {
+            least = distance;
+            nearest = name;
+        }
+    }
+    return nearest;
+}
+
+Result<Settings> Settings::complete(const std::vector<SettingInfo>& infos,
+                                    const Given& given, const std::string& method) {
+    Settings settings;
+    for (const SettingInfo& info : infos)
+        settings.values_.emplace_back(info.name, info.fallback);
+    for (const auto& [name, value] : given) {
+        std::size_t at = 0;
+        while (at < infos.size() && infos[at].name != name)
+            ++at;
+        if (at == infos.size()) {
+            std::vector<std::string> names;
+            for (const SettingInfo& info : infos)
+                names.push_back(info.name);
+            const std::string meant = nearestName(name, names);
+            return base::makeError(
+                ErrorCode::badArgument, "method ", method, " has no setting \"",
+                base::printable(name), "\"",
+                meant.empty() ? "" : "; did you mean \"" + meant + "\"?", " It has ",
+                names.empty() ? "none" : joined(names));
+        }
+        if (!fits(infos[at], value))
+            return base::makeError(ErrorCode::badArgument, "method ", method, ", ", name,
+                                   ": found ", base::printable(settingText(value)),
+                                   ", expected ", expected(infos[at]));
+        settings.values_[at].second = value;
+    }
+    return settings;
+}
+
+const SettingValue& Settings::find(const std::string& name) const {
+    const auto found =
+        std::find_if(values_.begin(), values_.end(),
+                     [&](const auto& setting) { return setting.first == name; });
+    assert(found != values_.end());
+    return found->second;
+}
+
+bool Settings::flag(const std::string& name) const {
+    return std::get<bool>(find(name));
+}
+double Settings::number(const std::string& name) const {
+    return std::get<double>(find(name));
+}
+int Settings::whole(const std::string& name) const {
+    return int(number(name));
+}
+const std::string& Settings::word(const std::string& name) const {
+    return std::get<std::string>(find(name));
+}
+
+}  // namespace mtsm::baseline
