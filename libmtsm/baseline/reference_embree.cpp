@@ -306,6 +306,9 @@ glm::dvec3 EmbreeReference::boundsMin() const noexcept {
 glm::dvec3 EmbreeReference::boundsMax() const noexcept {
     return scene_->high;
 }
+bool EmbreeReference::hasVolumes() const noexcept {
+    return !scene_->volumes.empty();
+}
 std::uint64_t EmbreeReference::memoryBytes() const noexcept {
     std::uint64_t bytes = std::uint64_t(scene_->memory.now.load());
     for (const auto& mesh : scene_->meshes)

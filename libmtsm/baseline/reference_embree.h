@@ -49,6 +49,7 @@ class EmbreeReference {
     /// Bounds of the casters, world; of strands without their width.
     [[nodiscard]] glm::dvec3 boundsMin() const noexcept;
     [[nodiscard]] glm::dvec3 boundsMax() const noexcept;
+    [[nodiscard]] bool hasVolumes() const noexcept;
     /// What the casters and Embree's tree over them take, and took at most while it was
     /// built.
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept;

@@ -1,0 +1,40 @@
+#include "baseline/errors.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace mtsm::baseline {
+
+Errors measureErrors(const std::vector<float>& found, const std::vector<float>& truth,
+                     const std::vector<std::uint8_t>& mask,
+                     const std::vector<float>& scale) {
+    Errors e;
+    std::vector<double> all;
+    double sum = 0.0, squares = 0.0, signedSum = 0.0;
+    for (std::size_t i = 0; i < found.size(); ++i) {
+        if (std::isnan(found[i]) || (!mask.empty() && !mask[i])) continue;
+        const double difference =
+            (double(found[i]) - truth[i]) * (scale.empty() ? 1.0 : double(scale[i]));
+        all.push_back(std::abs(difference));
+        sum += all.back();
+        squares += difference * difference;
+        signedSum += difference;
+    }
+    e.count = all.size();
+    if (all.empty()) return e;
+    const double n = double(all.size());
+    e.mean = sum / n;
+    e.deviation = std::sqrt(std::max(0.0, squares / n - e.mean * e.mean));
+    e.bias = signedSum / n;
+    const auto percentile = [&](double share) {
+        const auto at = all.begin() + std::ptrdiff_t(share * (n - 1.0));
+        std::nth_element(all.begin(), at, all.end());
+        return *at;
+    };
+    e.p95 = percentile(0.95);
+    e.p99 = percentile(0.99);
+    e.largest = percentile(1.0);
+    return e;
+}
+
+}  // namespace mtsm::baseline
