@@ -11,7 +11,7 @@
 
 #include "common/arguments.h"
 #include "common/job.h"
-#include "common/light_options.h"
+#include "common/placement.h"
 #include "common/tool.h"
 #include "mtsm/bake.h"
 #include "mtsm/caster_files.h"
@@ -84,16 +84,14 @@ constexpr const char* kJobExtension = ".toml";
 struct Arguments {
     std::vector<std::string> inputs;
     std::string output;
-    LightOptions light;
-    std::string lightName;
-    std::optional<double> fovDegrees, near, far;
+    PlacementOptions placement;
     std::string resolution = "1024";
     std::int64_t layers = 0, subsamples = 1;  // layers 0: not given
     std::string resets = "all";
     std::optional<double> bias, tolerance, opacity;
     std::optional<double> hairWidth, hairTipWidth, hairOpacity, hairScale, densityScale;
     std::string densityGrid;
-    std::optional<std::size_t> projection, cull, codec;
+    std::optional<std::size_t> codec;
     std::vector<std::string> include, exclude, textures;
     std::int64_t level = 3, threads = 0;
     std::string maxMemory;
@@ -134,8 +132,6 @@ CLI::Option* addChecked(CLI::App& app, const std::string& name, std::string& val
         ->type_name(form);
 }
 
-enum Projections : std::size_t { kFit = 0, kCube = 1 };
-
 void addFileOptions(CLI::App& app, Arguments& a) {
     const std::string group = "Files";
     app.add_option("INPUT", a.inputs,
@@ -154,34 +150,8 @@ void addFileOptions(CLI::App& app, Arguments& a) {
         ->group(group);
 }
 
-void addLightOptions(CLI::App& app, Arguments& a) {
-    addLightSizeOptions(
-        app, a.light, "Light",
-        "what the size given belongs\nto: radius disk, size rect, angle sun; else point");
-    addLightAimOptions(app, a.light, "Light");
-    addText(app, "--light-name", a.lightName, "NAME",
-            "take the light of this name from the inputs; the\n"
-            "other options then change single properties of it")
-        ->group("Light");
-}
-
 void addViewOptions(CLI::App& app, Arguments& a) {
     const std::string group = "View";
-    addChoice(app, "--projection", a.projection, {"fit", "cube"},
-              "one window that fits the casters, or six views of\n"
-              "90 degrees from the light to all sides, for lights\n"
-              "among their casters (default: fit)")
-        ->group(group);
-    addNumber(app, "--fov", a.fovDegrees, {0.0, 180.0, true}, "DEG",
-              "full field of view of a square window (default:\n"
-              "the window that fits the casters); not for a sun")
-        ->group(group);
-    addNumber(app, "--near", a.near, {0.0, kAny}, "Z",
-              "keep nothing nearer to the light than this")
-        ->group(group);
-    addNumber(app, "--far", a.far, {0.0, kAny}, "Z",
-              "keep nothing farther from the light than this")
-        ->group(group);
     addChecked(app, "--resolution", a.resolution, "N|WxH", sizeOf,
                "pixels of the map (cube: of a face), 1 to 32768 a\n"
                "side (default: 1024)")
@@ -194,10 +164,6 @@ void addViewOptions(CLI::App& app, Arguments& a) {
               "depth within which a layer is met, world units,\n"
               "stored in the map (default: the size of a pixel at\n"
               "the layer)")
-        ->group(group);
-    addChoice(app, "--cull", a.cull, {"none", "back", "front"},
-              "leave out faces turned away from (back) or to\n"
-              "(front) the light (default: none)")
         ->group(group);
 }
 
@@ -299,7 +265,7 @@ void addGeneralOptions(CLI::App& app, Arguments& a) {
 
 void addOptions(CLI::App& app, Arguments& a) {
     addFileOptions(app, a);
-    addLightOptions(app, a);
+    addPlacementOptions(app, a.placement);
     addViewOptions(app, a);
     addLayerOptions(app, a);
     addCasterOptions(app, a);
@@ -431,129 +397,26 @@ std::string settingsText(const CLI::App& app, const Input& input) {
     return text;
 }
 
-/// A light of a file that stands elsewhere in the world.
-FileLight moved(FileLight found, const glm::dmat4& transform) {
-    AreaLight& light = found.light;
-    const glm::dmat3 linear(transform);
-    const double grown = std::cbrt(std::abs(glm::determinant(linear)));
-    light.position = glm::dvec3(transform * glm::dvec4(light.position, 1.0));
-    light.direction = glm::normalize(linear * light.direction);
-    light.up = glm::normalize(linear * light.up);
-    light.radius *= grown;
-    light.size *= grown;
-    return found;
-}
-
-/// The light called --light-name in one of the inputs.
-FileLight findLight(const Arguments& a, const Input& input,
-                    const MeshFileOptions& options) {
-    std::string names;
-    for (const CasterFile& caster : input.casters) {
-        if (casterKind(caster.path) != CasterKind::mesh) continue;
-        for (FileLight& light : unwrap(readLights(caster.path, options))) {
-            if (light.name == a.lightName)
-                return moved(std::move(light), caster.transform);
-            names += (names.empty() ? "" : ", ") + light.name;
-        }
-    }
-    throw UsageError(
-        "--light-name: no light \"" + a.lightName + "\" in the inputs; " +
-        (names.empty() ? "they hold no light at all" : "there are: " + names));
-}
-
-/// Fills everything of `bake` that has to do with the light.
-void chooseLight(const Arguments& a, const Input& input, Talk& talk, BakeOptions& bake) {
-    AreaLight& light = bake.light;
-    const bool named = !a.lightName.empty();
-    if (named) {
-        MeshFileOptions options;
-        options.warn = [&talk](const std::string& text) { talk.warn(text); };
-        const FileLight found = findLight(a, input, options);
-        light = found.light;
-        bake.aimed = found.fov || light.shape == LightShape::rect;
-        bake.fov = found.fov;
-    }
-    if (const auto shape = a.light.shape(); shape && (!named || a.light.shapeIndex))
-        light.shape = *shape;
-    applyLightOptions(a.light, light);
-
-    const bool sun = light.shape == LightShape::sun;
-    if (!named && !sun && !a.light.position)
-        throw UsageError(std::string("--light-position is missing: a ") +
-                         name(light.shape) +
-                         " light needs a place, such as --light-position 2,5,3");
-    if (!named && sun && !a.light.direction)
-        throw UsageError(
-            "--light-direction is missing: a sun needs the way that its light "
-            "travels, such as --light-direction -1,-3,-1");
-    if (sun && a.fovDegrees)
-        throw UsageError(
-            "--fov: a sun's map is parallel and has no field of view; its "
-            "window fits the casters");
-    const bool sized = a.light.radius || a.light.size || a.light.angleDegrees;
-    if (!named && !sized && light.shape != LightShape::point)
-        throw UsageError(std::string("the light's size is missing: give ") +
-                         (sun                               ? "--light-angle DEG"
-                          : light.shape == LightShape::rect ? "--light-size W,H"
-                                                            : "--light-radius R"));
-    if (light.shape != LightShape::point && lightRadius(light) == 0.0)
-        talk.warn(std::string("the ") + name(light.shape) +
-                  "'s size is zero: its shadows are those of a point, without penumbra");
-
-    if (a.light.direction) bake.aimed = true;
-    if (a.light.target) {
-        if (*a.light.target == light.position)
-            throw UsageError(
-                "--light-target: is where the light is; it must be elsewhere");
-        bake.target = a.light.target;
-        bake.aimed = false;
-    }
-    if (a.light.up) bake.up = *a.light.up;
-}
-
-/// What has to do with six faces, or with one.
-void chooseProjection(const Arguments& a, BakeOptions& bake) {
-    bake.cube = a.projection.value_or(kFit) == kCube;
-    if (a.fovDegrees) {
-        if (*a.fovDegrees == 0.0) throw UsageError("--fov: must be more than 0 degrees");
-        if (bake.cube)
-            throw UsageError(
-                "--fov: the six views of --projection cube have 90 degrees each; leave "
-                "one of them out");
-        bake.fov = glm::radians(*a.fovDegrees);
-    }
-    if (!bake.cube) return;
-    if (bake.light.shape == LightShape::sun)
-        throw UsageError("--projection: a sun has no place among its casters; use fit");
-    if (bake.width != bake.height)
-        throw UsageError("--resolution: found \"" + a.resolution +
-                         "\", but the faces of --projection cube are square");
-}
-
 BakeOptions bakeOptions(const Arguments& a, const CLI::App& app, const Input& input,
                         Talk& talk) {
     BakeOptions bake;
     const glm::uvec2 size = sizeOf(a.resolution);
     bake.maxBytes = a.maxMemory.empty() ? halfOfMemory() : maxBytesOf(a.maxMemory);
-    if (a.near && a.far && !(*a.near < *a.far))
-        throw UsageError("--near and --far: found " + numberText(*a.near) + " and " +
-                         numberText(*a.far) + ", near must be less than far");
     if (app.count("--level") && a.codec.value_or(0) != 0)
         throw UsageError("--level: is for --codec zstd only");
     bake.resets = parseResets(a.resets);
     bake.width = size.x;
     bake.height = size.y;
-    chooseLight(a, input, talk, bake);
-    chooseProjection(a, bake);
-    bake.near = a.near;
-    bake.far = a.far;
+    applyPlacement(a.placement, input.casters, talk, bake);
+    if (bake.cube && bake.width != bake.height)
+        throw UsageError("--resolution: found \"" + a.resolution +
+                         "\", but the faces of --projection cube are square");
     if (a.layers) bake.layers = std::uint32_t(a.layers);
     if (a.tolerance) bake.tolerance = float(*a.tolerance);
     bake.subsamples = std::uint32_t(a.subsamples);
     bake.color = a.color;
     bake.keepHidden = a.keepHidden;
     if (a.bias) bake.bias = float(*a.bias);
-    bake.cull = static_cast<Cull>(a.cull.value_or(0));
     bake.settings = settingsText(app, input);
     bake.progress = [&talk](const char* stage, double fraction) {
         return talk.progress(stage, fraction);

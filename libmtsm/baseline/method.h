@@ -76,6 +76,9 @@ struct MethodInfo {
     std::string title;     ///< "multi-view shadow maps, ray traced"
     std::string source;    ///< "[Agrawala00]"
     bool perLight = true;  ///< false: one build serves every light
+    /// An answer has costs that do not fall with the number of points: it is to be timed
+    /// on whole pictures.
+    bool fixedCost = false;
     std::vector<SettingInfo> settings;
     std::function<Result<std::unique_ptr<Method>>(const MethodScene&, const Settings&)>
         build;

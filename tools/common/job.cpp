@@ -17,6 +17,7 @@
 #include <glm/trigonometric.hpp>
 #include <map>
 #include <optional>
+#include <span>
 #include <sstream>
 #include <string_view>
 
@@ -51,11 +52,13 @@ enum class Form {
     patterns,
     textures,
     matrix,
-    size
+    size,
+    list,
+    plane
 };
 
 struct Key {
-    std::string_view table;  // "", "light", "map" or "caster"
+    std::string_view table;  // "", or one of kTables
     std::string_view name;
     Form form;
     std::string_view prefix = "";  // of the option that it stands for, behind the dashes
@@ -109,6 +112,27 @@ constexpr Key kKeys[] = {
     {"caster", "hair-scale", Form::number},
     {"caster", "density-grid", Form::text},
     {"caster", "density-scale", Form::number},
+
+    {"camera", "position", Form::triple, "camera-"},
+    {"camera", "target", Form::triple, "camera-"},
+    {"camera", "up", Form::triple, "camera-"},
+    {"camera", "fov", Form::number, "camera-"},
+    {"camera", "image", Form::resolution},
+    {"camera", "points", Form::whole},
+    {"camera", "position-pass", Form::path},
+    {"camera", "normal-pass", Form::path},
+
+    {"compare", "light-scales", Form::list},
+    {"compare", "truth", Form::whole},
+    {"compare", "measured-pixels", Form::whole},
+    {"compare", "repeats", Form::whole},
+    {"compare", "targets", Form::list},
+
+    {"receiver", "file", Form::path},
+    {"receiver", "plane", Form::plane},
+    {"receiver", "floor", Form::flag},
+    {"receiver", "height", Form::number},
+    {"receiver", "size", Form::number},
 };
 
 /// What a key takes.
@@ -142,16 +166,28 @@ const char* expected(Form form) {
             return "16 finite numbers, row by row, the last row 0, 0, 0, 1";
         case Form::size:
             return "a finite number, or three of them";
+        case Form::list:
+            return "a list of finite numbers, such as [0.3, 1, 3]";
+        case Form::plane:
+            return "9 finite numbers: a corner and two edges";
     }
     return "";
 }
 
-constexpr std::string_view kTables[] = {"light", "map", "caster"};
+/// Tables whose keys are options, each at most once; and tables that may be repeated.
+constexpr std::string_view kSettingTables[] = {"light", "map", "camera", "compare"};
+constexpr std::string_view kListTables[] = {"caster", "receiver", "method"};
+
+template <std::size_t N>
+bool isOneOf(std::string_view name, const std::string_view (&names)[N]) {
+    return std::find(std::begin(names), std::end(names), name) != std::end(names);
+}
 
 /// Where a table's keys stand.
 std::string inTable(std::string_view table) {
     if (table.empty()) return "at the top of the file, before the first table";
-    return table == "caster" ? "in [[caster]]" : "in [" + std::string(table) + "]";
+    const bool list = isOneOf(table, kListTables);
+    return (list ? "in [[" : "in [") + std::string(table) + (list ? "]]" : "]");
 }
 
 // --- near misses
@@ -208,8 +244,11 @@ std::string suggestion(std::string_view table, std::string_view unknown) {
             return inQuotes(k.name) + " belongs " + inTable(k.table);
     }
     if (table.empty()) {
-        for (const std::string_view name : kTables)
-            if (distance(key, name) <= 1) return "did you mean " + inQuotes(name) + "?";
+        for (const auto& names : {std::span<const std::string_view>(kSettingTables),
+                                  std::span<const std::string_view>(kListTables)})
+            for (const std::string_view name : names)
+                if (distance(key, name) <= 1)
+                    return "did you mean " + inQuotes(name) + "?";
     }
     const Key* nearest = nullptr;
     std::size_t least = 1 + std::max<std::size_t>(1, key.size() / 3);
@@ -227,7 +266,9 @@ std::string suggestion(std::string_view table, std::string_view unknown) {
     std::string list;
     for (const Key& k : kKeys)
         if (k.table == table) list += (list.empty() ? "" : ", ") + std::string(k.name);
-    return "keys there are: " + list + (table.empty() ? ", light, map, caster" : "");
+    return "keys there are: " + list +
+           (table.empty() ? ", light, map, camera, compare, caster, receiver, method"
+                          : "");
 }
 
 // --- values
@@ -333,6 +374,8 @@ std::optional<std::string> spell(Form form, const toml::node& node) {
             return list(3);
         case Form::pair:
             return list(2);
+        case Form::list:
+            return list(node.is_array() ? node.as_array()->size() : 0);
         case Form::resolution: {
             if (whole) return std::to_string(**whole);
             const auto* sides = node.as_array();
@@ -382,8 +425,12 @@ class Reader {
     void checkNoNul(const Key& key, const toml::node& value) const;
     const Key& find(std::string_view table, const toml::key& key) const;
     void readSettings(std::string_view table, const toml::table& content);
-    void readCasters(const toml::node& list);
+    /// The tables of a list; `need` is what each must have.
+    [[nodiscard]] const toml::array& tablesOf(const toml::node& node, const char* name,
+                                              const char* need) const;
     CasterFile readCaster(const toml::table& content) const;
+    JobReceiver readReceiver(const toml::table& content) const;
+    JobMethod readMethod(const toml::table& content) const;
     [[nodiscard]] std::vector<MaterialTexture> readTextures(
         const toml::node& value) const;
     void setCaster(CasterFile& caster, const Key& key, const toml::node& value) const;
@@ -467,8 +514,8 @@ const Key& Reader::find(std::string_view table, const toml::key& key) const {
 
 void Reader::readSettings(std::string_view table, const toml::table& content) {
     for (const auto& [key, value] : content) {
-        const bool isTable = std::find(std::begin(kTables), std::end(kTables),
-                                       key.str()) != std::end(kTables);
+        const bool isTable =
+            isOneOf(key.str(), kSettingTables) || isOneOf(key.str(), kListTables);
         if (table.empty() && isTable) continue;
         const Key& known = find(table, key);
         checkNoNul(known, value);
@@ -572,26 +619,100 @@ CasterFile Reader::readCaster(const toml::table& content) const {
     return caster;
 }
 
-void Reader::readCasters(const toml::node& node) {
+const toml::array& Reader::tablesOf(const toml::node& node, const char* name,
+                                    const char* need) const {
     const auto* list = node.as_array();
     if (!list || !list->is_homogeneous(toml::node_type::table))
-        refuse(place(node), "caster: found " + found(node) +
-                                ", expected tables that begin with [[caster]], each with "
-                                "file = \"...\"");
-    for (const toml::node& element : *list)
-        job_.casters.push_back(readCaster(*element.as_table()));
+        refuse(place(node), std::string(name) + ": found " + found(node) +
+                                ", expected tables that begin with [[" + name +
+                                "]], each with " + need);
+    return *list;
+}
+
+JobReceiver Reader::readReceiver(const toml::table& content) const {
+    JobReceiver receiver;
+    receiver.place = place(content);
+    for (const auto& [key, value] : content) {
+        const Key& known = find("receiver", key);
+        const auto real = number(value);
+        const auto nine = numbers(value, 9);
+        const auto* word = value.as_string();
+        const bool good = known.form == Form::number  ? real.has_value()
+                          : known.form == Form::plane ? nine.size() == 9
+                          : known.form == Form::flag  ? value.is_boolean()
+                                                      : word && !word->get().empty();
+        if (!good) refuseValue(known, value);
+        checkNoNul(known, value);
+        if (known.name == "file") receiver.file = resolved(word->get());
+        if (known.name == "plane")
+            receiver.plane = JobPlane{{nine[0], nine[1], nine[2]},
+                                      {nine[3], nine[4], nine[5]},
+                                      {nine[6], nine[7], nine[8]}};
+        if (known.name == "floor") receiver.floor = **value.as_boolean();
+        if (known.name == "height") receiver.height = *real;
+        if (known.name == "size") receiver.size = *real;
+    }
+    const toml::node* file = content.get("file");
+    if ((file ? 1 : 0) + (receiver.plane ? 1 : 0) + (receiver.floor ? 1 : 0) != 1)
+        refuse(receiver.place,
+               "this [[receiver]] needs one of file = \"...\", plane = [9 numbers] and "
+               "floor = true");
+    if (!receiver.floor && (receiver.height || receiver.size))
+        refuse(receiver.place, "height and size are for floor = true alone");
+    if (file) checkThere(*file, "file", receiver.file);
+    return receiver;
+}
+
+/// One value or a list of them, each true or false, a number or a text.
+JobMethod Reader::readMethod(const toml::table& content) const {
+    JobMethod method;
+    method.place = place(content);
+    for (const auto& [key, value] : content) {
+        std::vector<JobMethod::Value> values;
+        const auto take = [&](const toml::node& one) {
+            if (const auto real = number(one))
+                values.emplace_back(*real);
+            else if (const auto* word = one.as_string())
+                values.emplace_back(word->get());
+            else if (one.is_boolean())
+                values.emplace_back(**one.as_boolean());
+            else
+                refuse(place(one), std::string(key.str()) + ": found " + found(one) +
+                                       ", expected a finite number, a text, true or "
+                                       "false, or a list of these");
+        };
+        if (const auto* list = value.as_array()) {
+            for (const toml::node& one : *list)
+                take(one);
+        } else {
+            take(value);
+        }
+        if (values.empty())
+            refuse(place(value), std::string(key.str()) + ": found an empty list");
+        if (key.str() == "name") {
+            if (values.size() != 1 || !std::holds_alternative<std::string>(values[0]))
+                refuse(place(value), "name: found " + found(value) +
+                                         ", expected the name of a method, in quotes");
+            method.name = std::get<std::string>(values[0]);
+        } else {
+            method.settings.emplace_back(std::string(key.str()), std::move(values));
+        }
+    }
+    if (method.name.empty())
+        refuse(method.place, "this [[method]] has no name = \"...\"");
+    return method;
 }
 
 Job Reader::read() {
     const toml::table content = parse();
     readSettings("", content);
-    for (const char* name : {"light", "map"}) {
+    for (const std::string_view name : kSettingTables) {
         const toml::node* node = content.get(name);
         if (!node) continue;
         if (!node->is_table())
             refuse(place(*node), std::string(name) + ": found " + found(*node) +
-                                     ", expected a table that begins with [" + name +
-                                     "]");
+                                     ", expected a table that begins with [" +
+                                     std::string(name) + "]");
         readSettings(name, *node->as_table());
     }
     const toml::node* casters = content.get("caster");
@@ -599,7 +720,14 @@ Job Reader::read() {
         throw Failure{{ErrorCode::badFile,
                        path_ + ": has no [[caster]]: a job needs one with file = \"...\" "
                                "for each file that casts"}};
-    readCasters(*casters);
+    for (const auto& one : tablesOf(*casters, "caster", "file = \"...\""))
+        job_.casters.push_back(readCaster(*one.as_table()));
+    if (const toml::node* node = content.get("receiver"))
+        for (const auto& one : tablesOf(*node, "receiver", "file, plane or floor"))
+            job_.receivers.push_back(readReceiver(*one.as_table()));
+    if (const toml::node* node = content.get("method"))
+        for (const auto& one : tablesOf(*node, "method", "name = \"...\""))
+            job_.methods.push_back(readMethod(*one.as_table()));
     return std::move(job_);
 }
 

@@ -20,9 +20,16 @@
 // and at the top what says how the work is done. Paths are relative to the job file. What
 // is wrong with a job is one sentence with file:line:column, what was found, what was
 // expected, and the key that was meant where one is near.
+//
+// mtsm-compare reads the same files, and of them what mtsm-bake passes over: [camera],
+// [compare], [[receiver]] and [[method]].
 #pragma once
 #include <CLI/CLI.hpp>
+#include <glm/vec3.hpp>
+#include <optional>
 #include <string>
+#include <utility>
+#include <variant>
 #include <vector>
 
 #include "common/arguments.h"
@@ -39,9 +46,34 @@ struct JobSetting {
     std::string place;   ///< "job.toml:12:1"
 };
 
+/// A parallelogram: corner, corner + x, corner + y.
+struct JobPlane {
+    glm::dvec3 corner{0.0}, x{0.0}, y{0.0};
+};
+
+/// A surface that is seen but casts nothing: one of the three.
+struct JobReceiver {
+    std::string file;               ///< meshes
+    std::optional<JobPlane> plane;  ///< a parallelogram
+    bool floor = false;             ///< under the casters
+    std::optional<double> height;   ///< floor: its y, in place of the casters' lowest
+    std::optional<double> size;  ///< floor: its sides, in place of 3 times the casters'
+    std::string place;
+};
+
+/// A method to compare and the values of its settings: every combination is meant.
+struct JobMethod {
+    using Value = std::variant<bool, double, std::string>;
+    std::string name;
+    std::vector<std::pair<std::string, std::vector<Value>>> settings;
+    std::string place;
+};
+
 struct Job {
     std::vector<CasterFile> casters;  ///< at least one; each has passed checkCaster()
     std::vector<JobSetting> settings;
+    std::vector<JobReceiver> receivers;
+    std::vector<JobMethod> methods;
 };
 
 /// Errors: io (the job or a caster's file is not there), badFile.

@@ -1,0 +1,131 @@
+#include "compare/plan.h"
+
+#include <algorithm>
+
+#include "common/tool.h"
+
+namespace mtsm::tools {
+namespace {
+
+using baseline::MethodInfo;
+using baseline::Settings;
+using baseline::SettingUse;
+
+constexpr std::size_t kMostRuns = 2000;
+
+/// What is compared if the job names no method.
+std::vector<JobMethod> defaultMethods() {
+    const auto numbers = [](std::initializer_list<double> values) {
+        return std::vector<JobMethod::Value>(values.begin(), values.end());
+    };
+    std::vector<JobMethod> methods;
+    for (const MethodInfo& info : baseline::methods()) {
+        JobMethod method;
+        method.name = info.name;
+        if (info.name == "embree")
+            method.settings = {{"samples", numbers({1, 4, 16, 64, 256})}};
+        if (info.name == "mtsm")
+            method.settings = {{"resolution", numbers({512, 1024, 2048})},
+                               {"samples", numbers({16, 64, 256})}};
+        if (info.fixedCost) method.settings = {{"samples", numbers({64})}};
+        methods.push_back(std::move(method));
+    }
+    return methods;
+}
+
+PlannedRun makeRun(const MethodInfo& info, Settings settings) {
+    PlannedRun run{&info, std::move(settings), info.name, info.name, info.name};
+    for (std::size_t i = 0; i < info.settings.size(); ++i) {
+        const auto& setting = info.settings[i];
+        const auto& [name, value] = run.settings.all()[i];
+        const std::string text = " " + name + "=" + baseline::settingText(value);
+        if (setting.use == SettingUse::build) run.buildKey += text;
+        const bool samples = name == "samples";
+        if (value != setting.fallback || samples) run.label += text;
+        if (value != setting.fallback && !samples) run.series += text;
+    }
+    return run;
+}
+
+/// All combinations, the last setting changing fastest.
+void addCombinations(const JobMethod& method, const MethodInfo& info,
+                     std::vector<PlannedRun>& runs) {
+    std::vector<std::size_t> at(method.settings.size(), 0);
+    while (true) {
+        Settings::Given given;
+        for (std::size_t i = 0; i < at.size(); ++i)
+            given.emplace_back(method.settings[i].first,
+                               method.settings[i].second[at[i]]);
+        auto settings = Settings::complete(info.settings, given, info.name);
+        const std::string place = method.place.empty() ? "" : method.place + ": ";
+        if (!settings)
+            throw Failure{{ErrorCode::badFile, place + settings.error().message}};
+        if (runs.size() == kMostRuns)
+            throw Failure{{ErrorCode::badFile, place + "more than " +
+                                                   std::to_string(kMostRuns) +
+                                                   " combinations of settings; leave "
+                                                   "some values out"}};
+        runs.push_back(makeRun(info, *std::move(settings)));
+        std::size_t i = at.size();
+        while (i > 0 && ++at[i - 1] == method.settings[i - 1].second.size())
+            at[--i] = 0;
+        if (i == 0) return;
+    }
+}
+
+}  // namespace
+
+std::vector<PlannedRun> planRuns(const std::vector<JobMethod>& methods,
+                                 const std::vector<std::string>& only) {
+    for (const std::string& name : only) {
+        const auto known = baseline::findMethod(name);
+        if (!known) throw UsageError("--method: " + known.error().message);
+    }
+    std::vector<PlannedRun> runs;
+    for (const JobMethod& method : methods.empty() ? defaultMethods() : methods) {
+        const auto info = baseline::findMethod(method.name);
+        if (!info)
+            throw Failure{
+                {ErrorCode::badFile, method.place + ": " + info.error().message}};
+        if (!only.empty() &&
+            std::find(only.begin(), only.end(), method.name) == only.end())
+            continue;
+        addCombinations(method, **info, runs);
+    }
+    // The same run twice is one.
+    std::vector<PlannedRun> unique;
+    for (PlannedRun& run : runs) {
+        const bool known =
+            std::any_of(unique.begin(), unique.end(),
+                        [&](const PlannedRun& u) { return u.label == run.label; });
+        if (!known) unique.push_back(std::move(run));
+    }
+    if (unique.empty())
+        throw UsageError("--method: the scene file compares none of these methods");
+    return unique;
+}
+
+std::string methodsText() {
+    std::string text;
+    for (const MethodInfo& info : baseline::methods()) {
+        text += (text.empty() ? "" : "\n") + info.name + ": " + info.title + " " +
+                info.source + "\n";
+        for (const auto& s : info.settings) {
+            std::string range;
+            if (!s.words.empty()) {
+                for (const std::string& word : s.words)
+                    range += (range.empty() ? "" : ", ") + word;
+            } else if (std::holds_alternative<bool>(s.fallback)) {
+                range = "true, false";
+            } else {
+                range = baseline::settingText(s.least) + " to " +
+                        baseline::settingText(s.most);
+            }
+            text += "  " + s.name + " = " + baseline::settingText(s.fallback) + "  (" +
+                    range + ")  " + s.help + "\n";
+        }
+    }
+    return text;
+}
+
+}  // namespace mtsm::tools

@@ -1,0 +1,436 @@
+#include "compare/results.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <iomanip>
+#include <set>
+#include <sstream>
+
+#include "baseline/equal_error.h"
+#include "common/tool.h"
+#include "mtsm/image.h"
+
+namespace mtsm::tools {
+namespace {
+
+using baseline::Errors;
+using baseline::Measured;
+using Json = nlohmann::ordered_json;
+
+constexpr const char* kErrorKinds[] = {"image", "object", "imageCosine", "objectCosine"};
+constexpr float kFullDifference = 0.1f;
+
+Json errorsJson(const Errors& e) {
+    if (e.count == 0) return nullptr;
+    return {{"mean", e.mean}, {"deviation", e.deviation}, {"p95", e.p95},
+            {"p99", e.p99},   {"largest", e.largest},     {"bias", e.bias}};
+}
+
+Json timingJson(const std::optional<Timing>& t) {
+    if (!t) return nullptr;
+    return {{"median", t->median},
+            {"least", t->least},
+            {"most", t->most},
+            {"repeats", t->repeats}};
+}
+
+Json settingJson(const baseline::SettingValue& value) {
+    return std::visit([](const auto& v) { return Json(v); }, value);
+}
+
+std::string processorName() {
+    std::ifstream info("/proc/cpuinfo");
+    std::string line;
+    while (std::getline(info, line))
+        if (line.starts_with("model name")) return line.substr(line.find(": ") + 2);
+    return "unknown processor";
+}
+
+std::string fileText(const std::string& text) {
+    std::string name;
+    for (const char c : text)
+        name += std::isalnum(static_cast<unsigned char>(c)) || c == '.' ? c : '-';
+    return name;
+}
+
+std::string idOf(const RunResult& result, const PlannedRun& run) {
+    return std::to_string(result.light + 1) + "-" + fileText(run.label);
+}
+
+/// What is compared of a run: on one thread, build included or not.
+struct Costs {
+    Measured query, firstFrame;
+};
+
+Costs costsOf(const RunResult& r, const PlannedRun& run, ErrorKind error) {
+    Costs costs;
+    costs.query.label = run.label;
+    costs.query.error = r.errors[std::size_t(error)].mean;
+    costs.query.seconds = r.query.one->median;
+    // Embree alone falls along a line from number to number.
+    if (run.method->name == "embree" && run.settings.word("mode") == "fixed") {
+        costs.query.series = run.series;
+        costs.query.samples = run.settings.number("samples");
+    }
+    costs.firstFrame = costs.query;
+    costs.firstFrame.seconds += r.build.one->median;
+    return costs;
+}
+
+/// All runs of a method under a light that answer everything.
+struct Rival {
+    std::vector<Measured> query, firstFrame;
+};
+
+Rival runsOf(const std::string& method, std::size_t light,
+             const std::vector<PlannedRun>& plan, const Session& session,
+             ErrorKind error) {
+    Rival rival;
+    for (const RunResult& r : session.results()) {
+        const PlannedRun& run = plan[r.run];
+        if (r.light != light || run.method->name != method || !r.failure.empty() ||
+            r.unanswered > 0)
+            continue;
+        const Costs costs = costsOf(r, run, error);
+        rival.query.push_back(costs.query);
+        rival.firstFrame.push_back(costs.firstFrame);
+    }
+    return rival;
+}
+
+Json equalErrorJson(const RunResult& r, const PlannedRun& run, const Rival& rival,
+                    const std::string& rivalName, ErrorKind error) {
+    const Costs own = costsOf(r, run, error);
+    const auto query = baseline::cheapest(rival.query, own.query.error);
+    const auto first = baseline::cheapest(rival.firstFrame, own.query.error);
+    Json j{{"run", idOf(r, run)},
+           {"rival", rivalName},
+           {"threads", 1},
+           {"error", own.query.error},
+           {"seconds", own.query.seconds},
+           {"firstFrameSeconds", own.firstFrame.seconds}};
+    j["rivalSeconds"] = query ? Json(query->seconds) : Json();
+    j["rivalFirstFrameSeconds"] = first ? Json(first->seconds) : Json();
+    j["rivalLabel"] = query ? Json(query->label) : Json();
+    j["ratio"] = query ? Json(query->seconds / own.query.seconds) : Json();
+    j["firstFrameRatio"] = first ? Json(first->seconds / own.firstFrame.seconds) : Json();
+    return j;
+}
+
+Json targetsJson(std::size_t light, double error, const std::vector<PlannedRun>& plan,
+                 const Session& session, ErrorKind kind) {
+    std::vector<std::string> names;
+    for (const PlannedRun& run : plan)
+        if (std::find(names.begin(), names.end(), run.method->name) == names.end())
+            names.push_back(run.method->name);
+    Json cheapest = Json::array();
+    for (const std::string& name : names) {
+        const Rival runs = runsOf(name, light, plan, session, kind);
+        const auto query = baseline::cheapest(runs.query, error);
+        const auto first = baseline::cheapest(runs.firstFrame, error);
+        if (!query || !first) continue;
+        cheapest.push_back({{"method", name},
+                            {"label", query->label},
+                            {"seconds", query->seconds},
+                            {"firstFrameSeconds", first->seconds},
+                            {"firstFrameLabel", first->label}});
+    }
+    return {{"light", light}, {"error", error}, {"cheapest", cheapest}};
+}
+
+Json sceneJson(const CompareScene& scene, const Session& session,
+               const ResultOptions& options) {
+    const baseline::Picture& picture = scene.picture();
+    const std::filesystem::path file(options.scene);
+    return {{"name", file.stem().string()},
+            {"file", file.filename().string()},
+            {"casters", options.casters},
+            {"triangles", scene.counts().triangles},
+            {"segments", scene.counts().segments},
+            {"voxels", scene.counts().voxels},
+            {"image", {picture.width, picture.height}},
+            {"pointsPerPixel", options.pointsPerPixel},
+            {"points", picture.points.size()},
+            {"pixels", picture.pixels()},
+            {"objectPixels", std::count(picture.object.begin(), picture.object.end(), 1)},
+            {"measuredPixels", session.measuredPixels()}};
+}
+
+Json lightsJson(const CompareScene& scene, const Session& session,
+                const ResultOptions& options) {
+    Json lights = Json::array();
+    for (std::size_t l = 0; l < scene.lights().size(); ++l) {
+        const ComparedLight& c = scene.lights()[l];
+        const LightResult& found = session.lights()[l];
+        const double radius = lightRadius(c.light);
+        lights.push_back({{"name", "radius " + shortText(float(radius))},
+                          {"radius", radius},
+                          {"scale", c.scale},
+                          {"shape", name(c.light.shape)},
+                          {"text", lightText(c.light)},
+                          {"light", lightJson(c.light)},
+                          {"truth",
+                           {{"samples", options.truthSamples},
+                            {"seconds", found.truthSeconds},
+                            {"cached", found.truthCached},
+                            {"image", nullptr}}}});
+    }
+    return lights;
+}
+
+Json methodsJson(const std::vector<PlannedRun>& plan) {
+    Json methods = Json::array();
+    std::set<std::string> known;
+    for (const PlannedRun& run : plan)
+        if (known.insert(run.method->name).second)
+            methods.push_back({{"name", run.method->name},
+                               {"title", run.method->title},
+                               {"source", run.method->source}});
+    return methods;
+}
+
+Json runJson(const RunResult& r, const PlannedRun& run) {
+    Json settings = Json::object(), errors;
+    for (const auto& [name, value] : run.settings.all())
+        settings[name] = settingJson(value);
+    for (std::size_t k = 0; k < r.errors.size(); ++k)
+        errors[kErrorKinds[k]] = errorsJson(r.errors[k]);
+    return {
+        {"id", idOf(r, run)},
+        {"method", run.method->name},
+        {"label", run.label},
+        {"series", run.series},
+        {"light", r.light},
+        {"settings", settings},
+        {"build",
+         {{"seconds", r.build.all->median},
+          {"one", timingJson(r.build.one)},
+          {"all", timingJson(r.build.all)},
+          {"memoryBytes", r.memoryBytes}}},
+        {"query", {{"one", timingJson(r.query.one)}, {"all", timingJson(r.query.all)}}},
+        {"unanswered", r.unanswered},
+        {"errors", errors},
+        {"image", nullptr},
+        {"difference", nullptr}};
+}
+
+// --- pictures
+// ------------------------------------------------------------------------------
+
+/// Encoded for display, in [0, 1].
+float displayed(float linear) {
+    return std::pow(std::clamp(linear, 0.0f, 1.0f), 1.0f / 2.2f);
+}
+
+void writeShaded(const CompareScene& scene, std::size_t light,
+                 const std::vector<float>& shadow, const std::string& path) {
+    const baseline::Picture& picture = scene.picture();
+    std::vector<float> shaded = picture.cosines(scene.lights()[light].light);
+    for (std::size_t p = 0; p < shaded.size(); ++p)
+        shaded[p] = displayed(0.9f * shaded[p] * (1.0f - shadow[p]));
+    unwrap(writeImagePng(path, greyImage(picture.width, picture.height,
+                                         picture.image(shaded, 0.25f), 0.0f, 1.0f)));
+}
+
+void writeDifference(const baseline::Picture& picture, const std::vector<float>& d,
+                     const std::string& path) {
+    std::vector<float> red, green, blue;
+    for (const float v : d) {
+        const float t = std::isnan(v) ? 0.0f : std::clamp(v / kFullDifference, -1.f, 1.f);
+        red.push_back(t < 0 ? 1 + t : 1.0f);
+        green.push_back(1 - std::abs(t));
+        blue.push_back(t > 0 ? 1 - t : 1.0f);
+    }
+    unwrap(writeImagePng(
+        path,
+        colorImage(picture.width, picture.height, picture.image(red, 0.8f),
+                   picture.image(green, 0.8f), picture.image(blue, 0.8f), 0.0f, 1.0f)));
+}
+
+}  // namespace
+
+Json resultsJson(const CompareScene& scene, const std::vector<PlannedRun>& plan,
+                 const Session& session, const ResultOptions& options) {
+    Json j;
+    j["format"] = "mtsm-compare";
+    j["version"] = 1;
+    j["scene"] = sceneJson(scene, session, options);
+    j["machine"] = {{"processor", processorName()},
+                    {"threads", options.threads},
+                    {"software", "libmtsm " MTSM_VERSION}};
+    j["errorKind"] = kErrorKinds[std::size_t(options.error)];
+    j["differenceScale"] = kFullDifference;
+    j["lights"] = lightsJson(scene, session, options);
+    j["methods"] = methodsJson(plan);
+    j["runs"] = Json::array();
+    j["failed"] = Json::array();
+    j["equalError"] = Json::array();
+    for (const RunResult& r : session.results()) {
+        const PlannedRun& run = plan[r.run];
+        if (!r.failure.empty()) {
+            j["failed"].push_back(
+                {{"label", run.label}, {"light", r.light}, {"reason", r.failure}});
+            continue;
+        }
+        j["runs"].push_back(runJson(r, run));
+        if (r.unanswered > 0) continue;
+        // Every map against Embree, and the other way round.
+        const std::string rival = run.method->name == "embree" ? "mtsm" : "embree";
+        j["equalError"].push_back(
+            equalErrorJson(r, run, runsOf(rival, r.light, plan, session, options.error),
+                           rival, options.error));
+    }
+    j["targets"] = Json::array();
+    for (std::size_t l = 0; l < scene.lights().size(); ++l)
+        for (const double error : options.targets)
+            j["targets"].push_back(targetsJson(l, error, plan, session, options.error));
+    return j;
+}
+
+std::string resultsCsv(const Json& results) {
+    std::ostringstream out;
+    out.imbue(std::locale::classic());
+    out << std::setprecision(9);
+    out << "light,radius,method,label,build_one,build_all,memory,query_one,query_one_"
+           "least,query_one_most,query_all,unanswered";
+    for (const char* kind : kErrorKinds)
+        for (const char* what : {"mean", "deviation", "p95", "p99", "largest", "bias"})
+            out << ',' << kind << '_' << what;
+    out << '\n';
+    for (const Json& run : results["runs"]) {
+        const auto& q = run["query"];
+        out << run["light"] << ','
+            << results["lights"][run["light"].get<std::size_t>()]["radius"] << ','
+            << run["method"].get<std::string>() << ",\""
+            << run["label"].get<std::string>() << "\"," << run["build"]["one"]["median"]
+            << ',' << run["build"]["all"]["median"] << ',' << run["build"]["memoryBytes"]
+            << ',' << q["one"]["median"] << ',' << q["one"]["least"] << ','
+            << q["one"]["most"] << ',' << q["all"]["median"] << ',' << run["unanswered"];
+        for (const char* kind : kErrorKinds) {
+            const Json& e = run["errors"][kind];
+            for (const char* what :
+                 {"mean", "deviation", "p95", "p99", "largest", "bias"}) {
+                out << ',';
+                if (!e.is_null()) out << e[what];
+            }
+        }
+        out << '\n';
+    }
+    return out.str();
+}
+
+std::string resultsText(const Json& results) {
+    std::ostringstream out;
+    out.imbue(std::locale::classic());
+    const auto seconds = [](const Json& t) { return t["median"].get<double>(); };
+    for (std::size_t l = 0; l < results["lights"].size(); ++l) {
+        const Json& light = results["lights"][l];
+        out << (l ? "\n" : "") << "light " << l + 1 << ": "
+            << light["text"].get<std::string>() << "\n"
+            << std::left << std::setw(52) << "  method" << std::right << std::setw(9)
+            << "mean" << std::setw(9) << "std" << std::setw(9) << "p99" << std::setw(9)
+            << "object" << std::setw(11) << "build s" << std::setw(11) << "query s"
+            << std::setw(11) << "all thr. s" << std::setw(10) << "MB"
+            << "\n";
+        for (const Json& run : results["runs"]) {
+            if (run["light"].get<std::size_t>() != l) continue;
+            const Json &image = run["errors"]["image"], &object = run["errors"]["object"];
+            out << "  " << std::left << std::setw(50) << run["label"].get<std::string>()
+                << std::right << std::fixed << std::setprecision(5);
+            if (image.is_null())
+                out << std::setw(27) << "no answer";
+            else
+                out << std::setw(9) << image["mean"].get<double>() << std::setw(9)
+                    << image["deviation"].get<double>() << std::setw(9)
+                    << image["p99"].get<double>();
+            if (object.is_null())
+                out << std::setw(9) << "-";
+            else
+                out << std::setw(9) << object["mean"].get<double>();
+            out << std::setprecision(3) << std::setw(11) << seconds(run["build"]["one"])
+                << std::setw(11) << seconds(run["query"]["one"]) << std::setw(11)
+                << seconds(run["query"]["all"]) << std::setprecision(1) << std::setw(10)
+                << 1e-6 * run["build"]["memoryBytes"].get<double>()
+                << (run["unanswered"].get<std::size_t>() ? "  (part of the picture)" : "")
+                << "\n";
+        }
+    }
+    for (const Json& failed : results["failed"])
+        out << "  " << failed["label"].get<std::string>() << ", light "
+            << failed["light"].get<std::size_t>() + 1 << ": "
+            << failed["reason"].get<std::string>() << "\n";
+    return out.str();
+}
+
+void writePictures(const CompareScene& scene, const Session& session,
+                   const std::string& folder, Talk& talk, Json& results) {
+    const baseline::Picture& picture = scene.picture();
+    const auto path = [&](const std::string& name) {
+        return (std::filesystem::path(folder) / name).string();
+    };
+    for (std::size_t l = 0; l < scene.lights().size(); ++l) {
+        const std::string name = "truth-" + std::to_string(l + 1);
+        const std::vector<float>& truth = session.lights()[l].truth;
+        writeShaded(scene, l, truth, path(name + ".png"));
+        FloatImage image(picture.width, picture.height);
+        image.channels.push_back({"shadow", picture.image(truth, NAN)});
+        unwrap(writeImageExr(path(name + ".exr"), image));
+        results["lights"][l]["truth"]["image"] = name + ".png";
+    }
+    std::size_t at = 0;
+    for (const RunResult& r : session.results()) {
+        if (!r.failure.empty()) continue;
+        Json& j = results["runs"][at++];
+        (void)talk.progress("writing pictures",
+                            double(at) / double(results["runs"].size()));
+        const std::string name = j["id"];
+        std::vector<float> difference(r.values.size());
+        for (std::size_t p = 0; p < difference.size(); ++p)
+            difference[p] = r.values[p] - session.lights()[r.light].truth[p];
+        writeShaded(scene, r.light, r.values, path(name + ".png"));
+        writeDifference(picture, difference, path(name + "-difference.png"));
+        FloatImage image(picture.width, picture.height);
+        image.channels.push_back({"shadow", picture.image(r.values, NAN)});
+        image.channels.push_back({"difference", picture.image(difference, NAN)});
+        unwrap(writeImageExr(path(name + ".exr"), image));
+        j["image"] = name + ".png";
+        j["difference"] = name + "-difference.png";
+    }
+}
+
+Json pageResults(Json results, ErrorKind error) {
+    const char* const kind = kErrorKinds[std::size_t(error)];
+    std::set<std::string> keep;
+    for (std::size_t l = 0; l < results["lights"].size(); ++l) {
+        std::vector<Measured> runs;
+        std::vector<std::string> ids, methods;
+        for (const Json& run : results["runs"]) {
+            if (run["light"].get<std::size_t>() != l || run["errors"][kind].is_null())
+                continue;
+            Measured m;
+            m.error = run["errors"][kind]["mean"];
+            m.seconds = run["query"]["one"]["median"];
+            runs.push_back(m);
+            ids.push_back(run["id"]);
+            methods.push_back(run["method"]);
+        }
+        for (const std::size_t i : baseline::paretoFront(runs))
+            keep.insert(ids[i]);
+        for (std::size_t i = 0; i < runs.size(); ++i) {
+            const bool beaten = [&] {
+                for (std::size_t k = 0; k < runs.size(); ++k)
+                    if (methods[k] == methods[i] && runs[k].error < runs[i].error)
+                        return true;
+                return false;
+            }();
+            if (!beaten) keep.insert(ids[i]);
+        }
+    }
+    for (Json& run : results["runs"])
+        if (!keep.count(run["id"])) run["image"] = run["difference"] = nullptr;
+    return results;
+}
+
+}  // namespace mtsm::tools

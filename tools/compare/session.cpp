@@ -1,0 +1,409 @@
+#include "compare/session.h"
+
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "baseline/content.h"
+#include "common/tool.h"
+#include "mtsm/plot.h"
+
+namespace mtsm::tools {
+namespace {
+
+using baseline::Picture;
+using Clock = std::chrono::steady_clock;
+using Json = nlohmann::ordered_json;
+
+constexpr std::size_t kRun = 64;            // neighbouring pixels of the sample
+constexpr std::size_t kTruthPoints = 4096;  // at a time, for progress
+constexpr std::size_t kTruthPixels = std::size_t(1) << 15;  // in a file of the cache
+constexpr double kShortest = 0.02;  // s: what takes less is done several times
+constexpr double kLong = 10.0;      // s: what takes more is done fewer times
+
+double since(Clock::time_point start) {
+    return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+Timing timingOf(std::vector<double> seconds) {
+    std::sort(seconds.begin(), seconds.end());
+    return {seconds[seconds.size() / 2], seconds.front(), seconds.back(),
+            int(seconds.size())};
+}
+
+/// The program itself: what another version measured is not what this one would.
+std::uint64_t programContent() {
+    std::ifstream in("/proc/self/exe", std::ios::binary);
+    const std::string bytes{std::istreambuf_iterator<char>(in), {}};
+    return baseline::contentOf(bytes);
+}
+
+Json timingJson(const std::optional<Timing>& t) {
+    if (!t) return nullptr;
+    return {t->median, t->least, t->most, t->repeats};
+}
+
+std::optional<Timing> timingOf(const Json& j) {
+    if (j.is_null()) return std::nullopt;
+    return Timing{j.at(0), j.at(1), j.at(2), j.at(3)};
+}
+
+}  // namespace
+
+Session::Session(CompareScene& scene, const std::vector<PlannedRun>& plan,
+                 const SessionOptions& options, Talk& talk)
+    : scene_(scene), plan_(plan), options_(options), talk_(talk) {
+    const Picture& picture = scene_.picture();
+    sample_ = picture.part(picture.spread(options_.measuredPixels, kRun));
+    lights_.resize(scene_.lights().size());
+}
+
+void Session::run() {
+    if (!options_.cache.empty()) {
+        std::error_code problem;
+        std::filesystem::create_directories(options_.cache, problem);
+        if (problem)
+            throw Failure{{ErrorCode::io, options_.cache + ": cannot make the folder: " +
+                                              problem.message()}};
+    }
+    for (std::size_t l = 0; l < lights_.size(); ++l)
+        findTruth(l);
+    scene_.dropReference();
+    for (std::size_t l = 0; l < lights_.size(); ++l)
+        compareLight(l);
+}
+
+std::string Session::cached(const std::string& name) const {
+    return (std::filesystem::path(options_.cache) / name).string();
+}
+
+std::uint64_t Session::lightKey(std::size_t light) const {
+    return baseline::combined(scene_.content(),
+                              baseline::contentOf(scene_.lights()[light].light));
+}
+
+/// The truth, a piece of the picture after another, each kept as soon as it is there.
+void Session::findTruth(std::size_t light) {
+    LightResult& result = lights_[light];
+    const Picture& picture = scene_.picture();
+    const std::uint64_t key = baseline::combined(
+        lightKey(light),
+        baseline::contentOf("truth " + std::to_string(options_.truthSamples)));
+    baseline::ReferenceOptions options;
+    options.samples = options_.truthSamples;
+    result.truthCached = true;
+    const auto start = Clock::now();
+    std::vector<float> points(picture.points.size());
+    const std::string what = "truth of light " + std::to_string(light + 1) + " of " +
+                             std::to_string(lights_.size());
+    for (std::size_t p = 0; p < picture.pixels(); p += kTruthPixels) {
+        const std::size_t end = std::min(picture.pixels(), p + kTruthPixels);
+        const std::uint64_t pieceKey = baseline::combined(key, p);
+        const std::string file =
+            cached("truth-" + baseline::contentText(pieceKey) + ".values");
+        if (!options_.cache.empty()) {
+            const auto kept = unwrap(baseline::readValues(file, pieceKey, end - p));
+            if (kept) {
+                result.truth.insert(result.truth.end(), kept->begin(), kept->end());
+                continue;
+            }
+        }
+        result.truthCached = false;
+        const std::size_t first = picture.first[p], last = picture.first[end];
+        for (std::size_t i = first; i < last; i += kTruthPoints) {
+            scene_.reference().shadowFactors(
+                scene_.lights()[light].light, &picture.starts[i], &picture.normals[i],
+                std::min(kTruthPoints, last - i), &points[i], options);
+            (void)talk_.progress(what, double(i) / double(points.size()));
+        }
+        for (std::size_t k = p; k < end; ++k) {
+            double sum = 0.0;
+            for (std::size_t i = picture.first[k]; i < picture.first[k + 1]; ++i)
+                sum += points[i];
+            result.truth.push_back(
+                float(sum / double(picture.first[k + 1] - picture.first[k])));
+        }
+        if (!options_.cache.empty())
+            unwrap(baseline::writeValues(file, pieceKey,
+                                         {result.truth.begin() + std::ptrdiff_t(p),
+                                          result.truth.begin() + std::ptrdiff_t(end)}));
+    }
+    result.truthSeconds = since(start);
+    const auto [least, most] =
+        std::minmax_element(result.truth.begin(), result.truth.end());
+    const std::string name = "under light " + std::to_string(light + 1) + " (" +
+                             lightText(scene_.lights()[light].light) + ")";
+    if (*least > 0.999f)
+        talk_.warn("every point is dark " + name +
+                   ": it stands inside a caster, or behind all that is seen");
+    else if (*most < 0.001f)
+        talk_.warn("no point is in shadow " + name +
+                   ": there is nothing to compare; check where the light stands");
+}
+
+Session::Built& Session::built(std::size_t light, const PlannedRun& run) {
+    const std::string key =
+        (run.method->perLight ? std::to_string(light) : std::string("any")) + " " +
+        run.buildKey;
+    const auto known = built_.find(key);
+    if (known != built_.end()) return known->second;
+    Built& made = built_[key];
+    baseline::MethodScene scene = scene_.methodScene(light);
+    const std::string what = "building " + run.label;
+    scene.bake.progress = [&](const char* stage, double fraction) {
+        return talk_.progress(what + ", " + stage, fraction);
+    };
+    (void)talk_.progress(what, -1.0);
+    const auto build = [&](int threads) {
+        made.method.reset();
+        tbb::task_arena arena(threads);
+        const auto start = Clock::now();
+        auto method =
+            arena.execute([&] { return run.method->build(scene, run.settings); });
+        const double seconds = since(start);
+        if (method)
+            made.method = *std::move(method);
+        else
+            made.failure = method.error().message;
+        return seconds;
+    };
+    // Once with one thread and up to three times with all.
+    const double alone = build(1);
+    if (!made.failure.empty()) return made;
+    made.seconds.one = timingOf({alone});
+    std::vector<double> seconds;
+    double total = 0.0;
+    do {
+        seconds.push_back(build(options_.threads));
+        total += seconds.back();
+    } while (made.failure.empty() && seconds.size() < 3 && total < kLong);
+    made.seconds.all = timingOf(seconds);
+    return made;
+}
+
+std::uint64_t Session::heldBytes() const {
+    std::uint64_t bytes = 0;
+    for (const auto& [key, built] : built_)
+        if (built.method) bytes += built.method->memoryBytes();
+    return bytes;
+}
+
+/// Seconds that `times` answers take.
+double Session::timeOnce(std::size_t light, const RunResult& result,
+                         const Picture& picture, int threads, int times) const {
+    const PlannedRun& run = plan_[result.run];
+    const std::string key =
+        (run.method->perLight ? std::to_string(light) : std::string("any")) + " " +
+        run.buildKey;
+    const baseline::Method& method = *built_.at(key).method;
+    std::vector<float> out(picture.points.size());
+    tbb::task_arena arena(threads);
+    const auto start = Clock::now();
+    for (int i = 0; i < times; ++i) {
+        const Status done = arena.execute([&] {
+            return method.shadowFactors(scene_.lights()[light].light, picture.receivers(),
+                                        run.settings, out.data());
+        });
+        if (!done) throw Failure{done.error()};
+    }
+    return since(start);
+}
+
+/// The whole picture, which warms the method up.
+void Session::answer(std::size_t light, RunResult& result, Built& method) {
+    const Picture& picture = scene_.picture();
+    const PlannedRun& run = plan_[result.run];
+    (void)talk_.progress("picture of " + run.label, -1.0);
+    std::vector<float> out(picture.points.size());
+    tbb::task_arena arena(options_.threads);
+    const Status done = arena.execute([&] {
+        return method.method->shadowFactors(
+            scene_.lights()[light].light, picture.receivers(), run.settings, out.data());
+    });
+    if (!done) {
+        result.failure = done.error().message;
+        return;
+    }
+    result.values = picture.pixelMeans(out);
+    result.memoryBytes = method.method->memoryBytes();
+    result.build = method.seconds;
+}
+
+void Session::timeRounds(std::size_t light, const std::vector<RunResult*>& group) {
+    struct Clocked {
+        RunResult* result;
+        const Picture* picture;
+        int times[2] = {1, 1}, repeats = 0;
+        std::vector<double> seconds[2];
+    };
+    const Picture& whole = scene_.picture();
+    const int threads[2] = {1, options_.threads};
+    std::vector<Clocked> clocks;
+    for (RunResult* result : group) {
+        Clocked c{
+            result, plan_[result->run].method->fixedCost ? &whole : &sample_, {}, 0, {}};
+        for (int t = 0; t < 2; ++t) {
+            (void)talk_.progress("warming up " + plan_[result->run].label, -1.0);
+            const double once = timeOnce(light, *result, *c.picture, threads[t], 1);
+            c.times[t] = std::max(1, int(std::ceil(kShortest / std::max(once, 1e-6))));
+            c.repeats = once > kLong ? 1 : options_.repeats;
+            if (once > kLong) c.seconds[t].push_back(once);
+        }
+        clocks.push_back(std::move(c));
+    }
+    for (int round = 0; round < options_.repeats; ++round) {
+        for (std::size_t i = 0; i < clocks.size(); ++i) {
+            Clocked& c = clocks[i];
+            (void)talk_.progress(
+                "timing, light " + std::to_string(light + 1),
+                (round + double(i) / double(clocks.size())) / options_.repeats);
+            for (int t = 0; t < 2; ++t)
+                if (int(c.seconds[t].size()) < c.repeats)
+                    c.seconds[t].push_back(
+                        timeOnce(light, *c.result, *c.picture, threads[t], c.times[t]) /
+                        c.times[t]);
+        }
+    }
+    for (Clocked& c : clocks) {
+        const double scale =
+            double(whole.points.size()) / double(c.picture->points.size());
+        for (auto& seconds : c.seconds)
+            for (double& s : seconds)
+                s *= scale;
+        c.result->query.one = timingOf(c.seconds[0]);
+        c.result->query.all = timingOf(c.seconds[1]);
+    }
+}
+
+void Session::judge(std::size_t light, RunResult& result) const {
+    const Picture& picture = scene_.picture();
+    const std::vector<float>& truth = lights_[light].truth;
+    const auto cosines = picture.cosines(scene_.lights()[light].light);
+    result.unanswered = std::size_t(std::count_if(
+        result.values.begin(), result.values.end(), [](float v) { return v != v; }));
+    result.errors = {
+        baseline::measureErrors(result.values, truth),
+        baseline::measureErrors(result.values, truth, picture.object),
+        baseline::measureErrors(result.values, truth, {}, cosines),
+        baseline::measureErrors(result.values, truth, picture.object, cosines)};
+}
+
+/// All runs under one light, in groups that memory holds.
+void Session::compareLight(std::size_t light) {
+    const std::size_t first = results_.size();
+    for (std::size_t r = 0; r < plan_.size(); ++r) {
+        results_.emplace_back();
+        results_.back().light = light;
+        results_.back().run = r;
+    }
+    if (!readGroup(light)) {
+        std::vector<RunResult*> group;
+        const auto finish = [&] {
+            timeRounds(light, group);
+            group.clear();
+            built_.clear();
+        };
+        for (std::size_t i = first; i < results_.size(); ++i) {
+            RunResult& result = results_[i];
+            Built& method = built(light, plan_[result.run]);
+            result.failure = method.failure;
+            if (result.failure.empty()) answer(light, result, method);
+            if (!result.failure.empty()) {
+                talk_.warn(plan_[result.run].label + ": " + result.failure);
+                continue;
+            }
+            group.push_back(&result);
+            if (heldBytes() > halfOfMemory() / 2) finish();
+        }
+        if (!group.empty()) timeRounds(light, group);
+        std::erase_if(built_, [](const auto& b) { return !b.first.starts_with("any"); });
+        writeGroup(light);
+    }
+    for (std::size_t i = first; i < results_.size(); ++i)
+        if (results_[i].failure.empty()) judge(light, results_[i]);
+}
+
+// --- the cache
+// -----------------------------------------------------------------------------
+
+/// Of all that the times and pictures under a light depend on.
+std::uint64_t Session::groupKey(std::size_t light) const {
+    std::string text = std::to_string(options_.measuredPixels) + " " +
+                       std::to_string(options_.repeats) + " " +
+                       std::to_string(options_.threads);
+    for (const PlannedRun& run : plan_) {
+        text += "\n" + run.method->name;
+        for (const auto& [name, value] : run.settings.all())
+            text += " " + name + "=" + baseline::settingText(value);
+    }
+    static const std::uint64_t program = programContent();
+    const baseline::MethodScene scene = scene_.methodScene(light);
+    const BakeOptions& b = scene.bake;
+    text += "\n" + std::to_string(b.cube) + std::to_string(int(b.cull)) +
+            numberText(b.fov.value_or(0)) + " " + numberText(b.near.value_or(-1)) + " " +
+            numberText(b.far.value_or(-1)) + tripleText(b.up) +
+            tripleText(b.target.value_or(glm::dvec3(0.0)));
+    return baseline::combined(baseline::combined(lightKey(light), program),
+                              baseline::contentOf(text));
+}
+
+bool Session::readGroup(std::size_t light) {
+    if (options_.cache.empty()) return false;
+    const std::uint64_t key = groupKey(light);
+    const std::string name = cached("runs-" + baseline::contentText(key));
+    std::ifstream in(name + ".json");
+    if (!in) return false;
+    const std::size_t pixels = scene_.picture().pixels();
+    auto values =
+        unwrap(baseline::readValues(name + ".values", key, plan_.size() * pixels));
+    if (!values) return false;
+    try {
+        const Json all = Json::parse(in);
+        const std::size_t first = results_.size() - plan_.size();
+        for (std::size_t r = 0; r < plan_.size(); ++r) {
+            RunResult& result = results_[first + r];
+            const Json& j = all.at(r);
+            result.failure = j.at("failure");
+            result.memoryBytes = j.at("memory");
+            result.build = {timingOf(j.at("build").at(0)), timingOf(j.at("build").at(1))};
+            result.query = {timingOf(j.at("query").at(0)), timingOf(j.at("query").at(1))};
+            const auto from = values->begin() + std::ptrdiff_t(r * pixels);
+            if (result.failure.empty())
+                result.values.assign(from, from + std::ptrdiff_t(pixels));
+        }
+    } catch (const Json::exception&) {
+        throw Failure{{ErrorCode::badFile, name + ".json: is damaged; delete it and the "
+                                                  "runs are made anew"}};
+    }
+    talk_.say("light " + std::to_string(light + 1) + ": all runs from the cache");
+    return true;
+}
+
+void Session::writeGroup(std::size_t light) const {
+    if (options_.cache.empty()) return;
+    const std::uint64_t key = groupKey(light);
+    const std::string name = cached("runs-" + baseline::contentText(key));
+    const std::size_t pixels = scene_.picture().pixels(),
+                      first = results_.size() - plan_.size();
+    std::vector<float> values(plan_.size() * pixels, 0.0f);
+    Json all = Json::array();
+    for (std::size_t r = 0; r < plan_.size(); ++r) {
+        const RunResult& result = results_[first + r];
+        all.push_back(
+            {{"failure", result.failure},
+             {"memory", result.memoryBytes},
+             {"build", {timingJson(result.build.one), timingJson(result.build.all)}},
+             {"query", {timingJson(result.query.one), timingJson(result.query.all)}}});
+        std::copy(result.values.begin(), result.values.end(),
+                  values.begin() + std::ptrdiff_t(r * pixels));
+    }
+    unwrap(baseline::writeValues(name + ".values", key, values));
+    unwrap(writeTextFile(name + ".json", all.dump(1) + "\n"));
+}
+
+}  // namespace mtsm::tools

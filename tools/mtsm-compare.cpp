@@ -1,0 +1,328 @@
+// mtsm-compare - every way to compute a soft shadow, on a scene of one's own: what it
+// costs and how far it is off.
+#include <tbb/info.h>
+
+#include <algorithm>
+#include <filesystem>
+
+#include "common/arguments.h"
+#include "common/job.h"
+#include "common/placement.h"
+#include "common/tool.h"
+#include "compare/plan.h"
+#include "compare/recommend.h"
+#include "compare/report.h"
+#include "compare/results.h"
+#include "compare/scene.h"
+#include "compare/session.h"
+#include "mtsm/plot.h"
+
+namespace {
+
+using namespace mtsm;
+using namespace mtsm::tools;
+
+constexpr const char* kAbout =
+    "Computes the soft shadow of a scene in many ways, ray tracing of the geometry and\n"
+    "shadow maps among them, and measures each: its error against ray tracing with 4096\n"
+    "samples a point, its time to build and to answer, its memory. Writes tables, "
+    "pictures\n"
+    "and a report page into a folder, and says which settings are the cheapest that meet "
+    "an\n"
+    "error or a time. The scene file is a job file of mtsm-bake that says more: a "
+    "camera,\n"
+    "receivers, and which methods and settings to compare.";
+
+constexpr const char* kExamples =
+    "Examples:\n"
+    "  a model on a floor under a disk light, all methods at usual settings:\n"
+    "    mtsm-compare dragon.ply --light-radius 0.3 --light-position 2,5,3 -o out\n"
+    "  the same light at three sizes; what meets a mean error of 0.005 the cheapest:\n"
+    "    mtsm-compare dragon.ply --light-radius 0.3 --light-position 2,5,3 \\\n"
+    "                 --light-scales 0.3,1,3 --recommend error=0.005 -o out\n"
+    "  a scene file; only some of its methods; a smaller picture for a first look:\n"
+    "    mtsm-compare shot.toml --method mtsm --method embree --image 300x150 -o out\n"
+    "  what methods and settings there are:\n"
+    "    mtsm-compare --list-methods\n"
+    "\nA scene file is a job file of mtsm-bake (see there for [light], [map] and "
+    "[[caster]])\n"
+    "with more tables, which mtsm-bake passes over:\n"
+    "    [camera]                          # without: one that frames the casters\n"
+    "    position = [3, 2, 6]\n"
+    "    target = [0, 1, 0]\n"
+    "    fov = 35                          # degrees, across the larger side\n"
+    "    image = [600, 300]\n"
+    "    points = 1                        # per pixel: 1, 4, 9, 16, ...\n"
+    "    # or: position-pass = \"shot.P.exr\" and normal-pass = \"shot.N.exr\"\n"
+    "    [[receiver]]                      # is seen, but casts nothing\n"
+    "    floor = true                      # or file = \"set.obj\", or plane = [9 "
+    "numbers]\n"
+    "    [compare]\n"
+    "    light-scales = [0.3, 1, 3]        # times the size of [light]\n"
+    "    truth = 4096                      # samples a point\n"
+    "    [[method]]\n"
+    "    name = \"mtsm\"\n"
+    "    resolution = [512, 1024, 2048]    # a list: every value is tried,\n"
+    "    samples = [64, 256]               # in all combinations\n"
+    "    [[method]]\n"
+    "    name = \"embree\"\n"
+    "    samples = [1, 4, 16, 64, 256]\n"
+    "\nThe folder gets results.json, results.csv, report.html (one page, no network), "
+    "PNG "
+    "and\n"
+    "EXR pictures of every run, and cache/, from which a comparison that was stopped or "
+    "is\n"
+    "run again takes what it has.";
+
+struct Arguments {
+    std::vector<std::string> inputs, only;
+    std::string folder, cache, recommend;
+    PlacementOptions placement;
+    CameraOptions camera;
+    std::vector<double> lightScales{1.0}, targets{0.02, 0.01, 0.005, 0.002};
+    std::int64_t truth = 4096, measured = 4096, repeats = 5, threads = 0;
+    std::optional<std::size_t> error;
+    bool noCache = false, noPictures = false, listMethods = false, quiet = false,
+         json = false;
+};
+
+std::vector<double> parseList(const std::string& option, const std::string& text) {
+    const auto count = std::size_t(std::count(text.begin(), text.end(), ',')) + 1;
+    return parseNumbers(option, text, count, "numbers with commas between");
+}
+
+void addList(CLI::App& app, const std::string& name, std::vector<double>& values,
+             const std::string& help, const std::string& group) {
+    app.add_option_function<std::string>(
+           name, [&values, name](const std::string& t) { values = parseList(name, t); },
+           help)
+        ->type_name("A,B,...")
+        ->group(group);
+}
+
+void addSceneOptions(CLI::App& app, Arguments& a) {
+    app.add_option("INPUT", a.inputs,
+                   "one scene file (.toml), or casters: meshes, hair and\n"
+                   "volumes, which then stand on a floor")
+        ->type_name("FILE")
+        ->group("Files");
+    addText(app, "-o,--folder", a.folder, "OUT",
+            "the folder to write into; needed; made if it is not\nthere")
+        ->group("Files");
+    addText(app, "--cache", a.cache, "DIR",
+            "where truths and runs are kept (default: OUT/cache)")
+        ->group("Files");
+    app.add_flag("--no-cache", a.noCache, "keep nothing, use nothing that was kept")
+        ->group("Files");
+    app.add_flag("--no-pictures", a.noPictures,
+                 "write tables alone, no pictures and no report page")
+        ->group("Files");
+    addPlacementOptions(app, a.placement);
+    addList(app, "--light-scales", a.lightScales,
+            "compare with the light so many times as large\n(default: 1)", "Light");
+}
+
+void addCameraOptions(CLI::App& app, Arguments& a) {
+    const std::string group = "Picture";
+    CameraOptions& c = a.camera;
+    addTriple(app, "--camera-position", c.position,
+              "where the camera stands (default: so that it frames\nthe casters)")
+        ->group(group);
+    addTriple(app, "--camera-target", c.target,
+              "what it looks at (default: the middle of the casters)")
+        ->group(group);
+    addTriple(app, "--camera-up", c.up, "what is up in the picture (default: 0,1,0)")
+        ->group(group);
+    addNumber(app, "--camera-fov", c.fovDegrees, {0.0, 180.0, true}, "DEG",
+              "full field of view across the larger side\n(default: 40)")
+        ->group(group);
+    app.add_option_function<std::string>(
+           "--image",
+           [&c](const std::string& text) {
+               (void)parseResolution("--image", text, 16384);
+               c.image = text;
+           },
+           "pixels of the picture (default: 600x300)")
+        ->type_name("N|WxH")
+        ->group(group);
+    addWhole(app, "--points", c.points, 1, 1024,
+             "shaded points per pixel: 1, 4, 9, 16, ... (default: 1)")
+        ->group(group);
+    addText(app, "--position-pass", c.positionPass, "P.exr",
+            "shade the points of a position pass, no camera")
+        ->group(group);
+    addText(app, "--normal-pass", c.normalPass, "N.exr", "normals beside it")
+        ->group(group);
+}
+
+void addCompareOptions(CLI::App& app, Arguments& a) {
+    const std::string group = "Comparison";
+    app.add_option("--method", a.only,
+                   "compare only this method of those that the scene file\n"
+                   "names, or of all; may be repeated")
+        ->type_name("NAME")
+        ->allow_extra_args(false)
+        ->group(group);
+    app.add_flag("--list-methods", a.listMethods,
+                 "print all methods with their settings, and stop")
+        ->group(group);
+    addWhole(app, "--truth", a.truth, 1, 4096,
+             "samples a point of the truth (default: 4096)")
+        ->group(group);
+    addWhole(app, "--measured-pixels", a.measured, 64, 1 << 28,
+             "times are taken on so many pixels, in runs of 64\n"
+             "neighbours, and scaled to the picture (default: 4096)")
+        ->group(group);
+    addWhole(app, "--repeats", a.repeats, 1, 1000,
+             "times that each is timed; the median counts\n(default: 5)")
+        ->group(group);
+    addList(app, "--targets", a.targets,
+            "mean errors for which the cheapest of each method is\n"
+            "sought (default: 0.02,0.01,0.005,0.002)",
+            group);
+    addChoice(app, "--error", a.error,
+              {"image", "object", "image-cosine", "object-cosine"},
+              "the mean error that counts: over all pixels or those\n"
+              "that show a caster; of the shadow factor, or times the\n"
+              "cosine to the light, as shaded (default: image)")
+        ->group(group);
+    addText(app, "--recommend", a.recommend, "error=E|time=T",
+            "print the cheapest settings that meet a mean error\n"
+            "(error=0.005), or the most accurate ones whose first\n"
+            "picture takes no longer (time=2s), and the lines of\n"
+            "mtsm-bake and mtsm-query that make it from a map")
+        ->group(group);
+}
+
+void addOptions(CLI::App& app, Arguments& a) {
+    addSceneOptions(app, a);
+    addCameraOptions(app, a);
+    addCompareOptions(app, a);
+    const std::string group = "General";
+    addWhole(app, "--threads", a.threads, 0, 1024,
+             "of \"all threads\"; 0: as many as the machine has\n(default)")
+        ->group(group);
+    app.add_flag("--quiet", a.quiet, "say nothing but warnings and errors")->group(group);
+    app.add_flag("--json", a.json, "print results.json to stdout in place of tables")
+        ->group(group);
+}
+
+/// What is compared: casters, receivers and methods, from a scene file or a command line.
+struct Input {
+    std::vector<CasterFile> casters;
+    std::vector<JobReceiver> receivers;
+    std::vector<JobMethod> methods;
+    std::optional<Job> job;
+    std::string line;  ///< what stands for the casters on mtsm-bake's command line
+};
+
+Input readInput(const Arguments& a, CLI::App& app) {
+    Input input;
+    const auto isJob = [](const std::string& path) { return extension(path) == ".toml"; };
+    if (a.inputs.empty())
+        throw UsageError(
+            "INPUT: is missing: give a scene file (.toml) or casters, such as "
+            "dragon.ply");
+    for (const std::string& path : a.inputs)
+        input.line += (input.line.empty() ? "" : " ") + path;
+    if (std::any_of(a.inputs.begin(), a.inputs.end(), isJob)) {
+        if (a.inputs.size() > 1)
+            throw UsageError("INPUT: a scene file lists all casters; give it alone");
+        input.job = unwrap(readJob(a.inputs.front()));
+        applyJob(*input.job, app);
+        input.casters = input.job->casters;
+        input.receivers = input.job->receivers;
+        input.methods = input.job->methods;
+        return input;
+    }
+    for (const std::string& path : a.inputs) {
+        input.casters.emplace_back();
+        input.casters.back().path = path;
+    }
+    input.receivers.emplace_back();
+    input.receivers.back().floor = true;
+    return input;
+}
+
+void makeFolder(const std::string& folder) {
+    if (folder.empty())
+        throw UsageError("-o: is required: the results need a folder, such as -o out");
+    std::error_code problem;
+    std::filesystem::create_directories(folder, problem);
+    if (problem || !std::filesystem::is_directory(folder))
+        throw Failure{
+            {ErrorCode::io, folder + ": cannot make this folder: " +
+                                (problem ? problem.message() : "a file has that name")}};
+}
+
+void run(const Arguments& a, const Input& input, Talk& talk) {
+    const auto inFolder = [&](const std::string& name) {
+        return (std::filesystem::path(a.folder) / name).string();
+    };
+    // All that can be wrong without a look at the scene comes first.
+    const auto plan = planRuns(input.methods, a.only);
+    std::optional<Wish> wish;
+    if (!a.recommend.empty()) wish = parseWish(a.recommend);
+    makeFolder(a.folder);
+
+    CompareScene scene(input.casters, input.receivers, a.placement, a.camera,
+                       a.lightScales, talk);
+    SessionOptions options;
+    options.truthSamples = int(a.truth);
+    options.measuredPixels = std::size_t(a.measured);
+    options.repeats = int(a.repeats);
+    options.threads = a.threads ? int(a.threads) : tbb::info::default_concurrency();
+    if (!a.noCache) options.cache = a.cache.empty() ? inFolder("cache") : a.cache;
+    Session session(scene, plan, options, talk);
+    session.run();
+
+    ResultOptions said;
+    said.scene = a.inputs.front();
+    for (const CasterFile& caster : input.casters)
+        said.casters.push_back(casterText(caster));
+    said.targets = a.targets;
+    said.error = static_cast<ErrorKind>(a.error.value_or(0));
+    said.pointsPerPixel = a.camera.points;
+    said.truthSamples = int(a.truth);
+    said.threads = options.threads;
+    auto results = resultsJson(scene, plan, session, said);
+    if (!a.noPictures) {
+        writePictures(scene, session, a.folder, talk, results);
+        const std::string page =
+            unwrap(makeReport(pageResults(results, said.error), a.folder));
+        unwrap(writeTextFile(inFolder("report.html"), page));
+    }
+    unwrap(writeTextFile(inFolder("results.csv"), resultsCsv(results)));
+    unwrap(writeTextFile(inFolder("results.json"), jsonText(results)));
+    talk.progressDone();
+    print(a.json ? jsonText(results) : resultsText(results));
+    if (wish)
+        talk.answer("recommended for " + a.recommend + ":\n" +
+                    recommendation(results, *wish, said.error, input.line,
+                                   a.camera.positionPass, a.camera.normalPass));
+    talk.say("wrote " + inFolder(a.noPictures ? "results.json" : "report.html"));
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    Talk talk("mtsm-compare");
+    CLI::App app(kAbout, "mtsm-compare");
+    describeTool(app, kExamples);
+    Arguments arguments;
+    addOptions(app, arguments);
+    return runTool(app, argc, argv, talk, [&] {
+        if (arguments.listMethods) {
+            print(methodsText());
+            return;
+        }
+        const Input input = readInput(arguments, app);
+        talk.setQuiet(arguments.quiet);
+        try {
+            run(arguments, input, talk);
+        } catch (const UsageError& wrong) {
+            if (input.job) blameJob(*input.job, wrong);
+            throw;
+        }
+    });
+}
