@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <set>
 
 #include "baseline/content.h"
 #include "common/tool.h"
@@ -48,7 +49,7 @@ Json timingJson(const std::optional<Timing>& t) {
     return {t->median, t->least, t->most, t->repeats};
 }
 
-std::optional<Timing> timingOf(const Json& j) {
+std::optional<Timing> readTiming(const Json& j) {
     if (j.is_null()) return std::nullopt;
     return Timing{j.at(0), j.at(1), j.at(2), j.at(3)};
 }
@@ -76,6 +77,10 @@ void Session::run() {
     scene_.dropReference();
     for (std::size_t l = 0; l < lights_.size(); ++l)
         compareLight(l);
+    const auto failed = [](const RunResult& r) { return !r.failure.empty(); };
+    if (std::all_of(results_.begin(), results_.end(), failed))
+        throw Failure{{ErrorCode::badArgument,
+                       "none of the methods can do this: " + results_.front().failure}};
 }
 
 std::string Session::cached(const std::string& name) const {
@@ -303,6 +308,7 @@ void Session::compareLight(std::size_t light) {
     }
     if (!readGroup(light)) {
         std::vector<RunResult*> group;
+        std::set<std::string> reasons;  // said already
         const auto finish = [&] {
             timeRounds(light, group);
             group.clear();
@@ -314,7 +320,8 @@ void Session::compareLight(std::size_t light) {
             result.failure = method.failure;
             if (result.failure.empty()) answer(light, result, method);
             if (!result.failure.empty()) {
-                talk_.warn(plan_[result.run].label + ": " + result.failure);
+                if (reasons.insert(result.failure).second)
+                    talk_.warn(plan_[result.run].label + ": " + result.failure);
                 continue;
             }
             group.push_back(&result);
@@ -370,8 +377,10 @@ bool Session::readGroup(std::size_t light) {
             const Json& j = all.at(r);
             result.failure = j.at("failure");
             result.memoryBytes = j.at("memory");
-            result.build = {timingOf(j.at("build").at(0)), timingOf(j.at("build").at(1))};
-            result.query = {timingOf(j.at("query").at(0)), timingOf(j.at("query").at(1))};
+            result.build = {readTiming(j.at("build").at(0)),
+                            readTiming(j.at("build").at(1))};
+            result.query = {readTiming(j.at("query").at(0)),
+                            readTiming(j.at("query").at(1))};
             const auto from = values->begin() + std::ptrdiff_t(r * pixels);
             if (result.failure.empty())
                 result.values.assign(from, from + std::ptrdiff_t(pixels));
