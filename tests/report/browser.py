@@ -158,14 +158,15 @@ class Page:
             "e.scrollIntoView({block: 'center'}); const b = e.getBoundingClientRect();"
             "return [b.left, b.top, b.width, b.height]; })()")
 
-    def mouse(self, kind, x, y):
-        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="none" if kind == "mouseMoved" else "left",
-                  buttons=0 if kind == "mouseReleased" else 1, clickCount=1)
+    def mouse(self, kind, x, y, pressed=False):
+        held = pressed or kind != "mouseMoved"
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left" if held else "none",
+                  buttons=1 if pressed else 0, clickCount=0 if kind == "mouseMoved" else 1)
 
     def drag(self, start, end):
-        self.mouse("mousePressed", *start)
+        self.mouse("mousePressed", *start, pressed=True)
         for i in range(1, 5):
-            self.mouse("mouseMoved", *(a + (b - a) * i / 4 for a, b in zip(start, end)))
+            self.mouse("mouseMoved", *(a + (b - a) * i / 4 for a, b in zip(start, end)), pressed=True)
         self.mouse("mouseReleased", *end)
         self.settle()
 
