@@ -37,10 +37,11 @@ class Browser:
                      "--remote-debugging-pipe", "--enable-logging=stderr", "--force-color-profile=srgb",
                      "--disable-background-networking", "--disable-component-update", "--no-first-run",
                      f"--user-data-dir={self.folder.name}/profile"]
-        flags = os.O_WRONLY | os.O_CREAT
-        self.process = os.posix_spawn(program, arguments, {**os.environ, "HOME": self.folder.name}, setpgroup=0, file_actions=[
-            (os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0), (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0),
-            (os.POSIX_SPAWN_OPEN, 2, str(self.log), flags, 0o600),
+        environment = {**os.environ, "HOME": self.folder.name}
+        self.process = os.posix_spawn(program, arguments, environment, setpgroup=0, file_actions=[
+            (os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0),
+            (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0),
+            (os.POSIX_SPAWN_OPEN, 2, str(self.log), os.O_WRONLY | os.O_CREAT, 0o600),
             (os.POSIX_SPAWN_DUP2, far[0], 3), (os.POSIX_SPAWN_DUP2, far[1], 4)])
         for fd in (command_read, answer_write, *far):
             os.close(fd)
@@ -101,7 +102,8 @@ class Browser:
         page = Page(self, session)
         for domain in ("Page", "Runtime", "Log", "Network"):
             page.call(domain + ".enable")
-        page.size(width, height)
+        page.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1,
+                  mobile=False)
         page.call("Emulation.setEmulatedMedia", features=[
             {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}])
         page.call("Page.navigate", url=pathlib.Path(path).resolve().as_uri())
@@ -120,9 +122,6 @@ class Page:
     def call(self, method, **parameters):
         return self.browser.call(method, self.session, **parameters)
 
-    def size(self, width, height):
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
-
     def evaluate(self, expression):
         """The value of a JavaScript expression; a promise's is waited for."""
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
@@ -131,7 +130,7 @@ class Page:
         return answer["result"].get("value")
 
     def complaints(self):
-        """Errors of scripts, of the console and of the log, dialogs, and requests for anything not in the page."""
+        """Errors of scripts, of the console and of the log, dialogs, requests for what is not in the page."""
         found = []
         for event in self.browser.events:
             name, p = event.get("method"), event.get("params", {})
@@ -153,19 +152,21 @@ class Page:
 
     def box(self, selector):
         """Left, top, width and height in the window, scrolled into view."""
-        return self.evaluate(
-            f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
-            "e.scrollIntoView({block: 'center'}); const b = e.getBoundingClientRect();"
-            "return [b.left, b.top, b.width, b.height]; })()")
+        element = f"document.querySelector({json.dumps(selector)})"
+        self.evaluate(element + ".scrollIntoView({block: 'center'})")
+        self.settle()
+        return self.evaluate(f"(({{left, top, width, height}}) => [left, top, width, height])("
+                             f"{element}.getBoundingClientRect())")
 
-    def mouse(self, kind, x, y):
-        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="none" if kind == "mouseMoved" else "left",
-                  buttons=0 if kind == "mouseReleased" else 1, clickCount=1)
+    def mouse(self, kind, x, y, pressed=False):
+        held = pressed or kind != "mouseMoved"
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left" if held else "none",
+                  buttons=1 if pressed else 0, clickCount=0 if kind == "mouseMoved" else 1)
 
     def drag(self, start, end):
-        self.mouse("mousePressed", *start)
+        self.mouse("mousePressed", *start, pressed=True)
         for i in range(1, 5):
-            self.mouse("mouseMoved", *(a + (b - a) * i / 4 for a, b in zip(start, end)))
+            self.mouse("mouseMoved", *(a + (b - a) * i / 4 for a, b in zip(start, end)), pressed=True)
         self.mouse("mouseReleased", *end)
         self.settle()
 
@@ -181,13 +182,14 @@ class Page:
     def choose(self, selector, value):
         """As a person chooses from a list: the value, then the event that it brings."""
         self.evaluate(f"(() => {{ const s = document.querySelector({json.dumps(selector)});"
-                      f"s.value = {json.dumps(str(value))}; s.dispatchEvent(new Event('change', {{bubbles: true}})); }})()")
+                      f"s.value = {json.dumps(str(value))};"
+                      "s.dispatchEvent(new Event('change', {bubbles: true})); })()")
         self.settle()
 
-    def screenshot(self, clip=None, whole=False):
-        options = {"clip": {**dict(zip(("x", "y", "width", "height"), clip)), "scale": 1}} if clip else {}
-        data = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole, **options)["data"]
-        return base64.b64decode(data)
+    def screenshot(self, clip):
+        """A PNG of left, top, width and height of the page."""
+        clip = {**dict(zip(("x", "y", "width", "height"), clip)), "scale": 1}
+        return base64.b64decode(self.call("Page.captureScreenshot", format="png", clip=clip)["data"])
 
     def pixel(self, x, y):
         """Red, green and blue at a place of the window."""
