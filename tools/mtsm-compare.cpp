@@ -1,8 +1,11 @@
 // mtsm-compare - every way to compute a soft shadow, on a scene of one's own: what it
 // costs and how far it is off.
 #include <tbb/info.h>
+#include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
+#include <cstring>
 #include <filesystem>
 
 #include "common/arguments.h"
@@ -88,7 +91,7 @@ struct Arguments {
 
 std::vector<double> parseList(const std::string& option, const std::string& text) {
     const auto count = std::size_t(std::count(text.begin(), text.end(), ',')) + 1;
-    return parseNumbers(option, text, count, "numbers with commas between");
+    return parseNumbers(option, text, count, "a list such as 0.3,1,3");
 }
 
 void addList(CLI::App& app, const std::string& name, std::vector<double>& values,
@@ -253,6 +256,9 @@ void makeFolder(const std::string& folder) {
         throw Failure{
             {ErrorCode::io, folder + ": cannot make this folder: " +
                                 (problem ? problem.message() : "a file has that name")}};
+    if (::access(folder.c_str(), W_OK | X_OK) != 0)
+        throw Failure{{ErrorCode::io, folder + ": cannot write into this folder: " +
+                                          std::strerror(errno)}};
 }
 
 void run(const Arguments& a, const Input& input, Talk& talk) {

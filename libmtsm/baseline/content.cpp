@@ -44,16 +44,28 @@ class Content {
     base::ChecksumStream stream_;
 };
 
-void add(Content& content, const OpacityTexture& texture) {
-    constexpr int kSide = 64;
-    for (int y = 0; y < kSide; ++y) {
-        for (int x = 0; x < kSide; ++x) {
+/// Lookups in a square grid, each of the mean over `footprint` of its cell.
+void addLookups(Content& content, const OpacityTexture& texture, int side, double low,
+                double high, double footprint) {
+    const double cell = (high - low) / side;
+    for (int y = 0; y < side; ++y) {
+        for (int x = 0; x < side; ++x) {
             std::array<float, 3> found{};
-            texture.opacity(glm::dvec2(x + 0.5, y + 0.5) / double(kSide), glm::dvec2(0.0),
-                            glm::dvec2(0.0), found.data());
+            texture.opacity(low + cell * glm::dvec2(x + 0.5, y + 0.5),
+                            {footprint * cell, 0.0}, {0.0, footprint * cell},
+                            found.data());
             content.add(found);
         }
     }
+}
+
+/// Means over cells, which no texel is missing from; points, for what a mask's edge does
+/// where it is magnified; and points outside of the image, for how it goes on there.
+void add(Content& content, const OpacityTexture& texture) {
+    content.add(texture.channels());
+    addLookups(content, texture, 64, 0.0, 1.0, 1.0);
+    addLookups(content, texture, 64, 0.0, 1.0, 0.0);
+    addLookups(content, texture, 21, -1.0, 2.0, 0.0);
 }
 
 void add(Content& content, const MeshView& mesh) {
@@ -105,6 +117,7 @@ std::uint64_t contentOf(const Receivers& r) {
     content.add(r.points, r.count);
     content.add(r.normals, r.count);
     content.add(r.starts, r.count);
+    content.add(r.first, r.pixels + 1);
     return content.value();
 }
 
@@ -165,9 +178,15 @@ Result<std::optional<std::vector<float>>> readValues(const std::string& path,
     if (!in || magic != kMagic) return refuse("is no file of cached values");
     if (head[0] != key || head[1] != count)
         return refuse("holds the values of another scene, light or picture");
+    // Both may be wrong together: no more is allocated than there is to read.
+    const auto begin = in.tellg();
+    in.seekg(0, std::ios::end);
+    const auto bytes = std::uint64_t(in.tellg() - begin);
+    in.seekg(begin);
+    if (!in || bytes / sizeof(float) < count) return refuse("is cut off");
+    if (bytes != count * sizeof(float)) return refuse("has bytes behind its end");
     std::vector<float> values(count);
-    in.read(reinterpret_cast<char*>(values.data()),
-            std::streamsize(count * sizeof(float)));
+    in.read(reinterpret_cast<char*>(values.data()), std::streamsize(bytes));
     if (!in) return refuse("is cut off");
     if (base::checksum(rawBytes(values.data(), count)) != head[2])
         return refuse("is damaged: its checksum differs");

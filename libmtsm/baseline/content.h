@@ -13,12 +13,13 @@
 
 namespace mtsm::baseline {
 
-/// Of all casters: geometry, opacities, textures (by lookups in a grid of 64 x 64), in
+/// Of all casters: geometry, opacities, textures (by lookups, see content.cpp), in
 /// their order. Errors: what visit() returns.
 Result<std::uint64_t> contentOf(CasterSource& casters);
-/// Of points, normals and starts.
+/// Of points, normals and starts, and which of them share a pixel.
 [[nodiscard]] std::uint64_t contentOf(const Receivers& receivers);
-/// Of all that light depends on its shape for.
+/// Of all its members, also those that its shape ignores: at worst something is computed
+/// anew.
 [[nodiscard]] std::uint64_t contentOf(const AreaLight& light);
 [[nodiscard]] std::uint64_t contentOf(const std::string& text);
 /// Of both, in this order.

@@ -23,7 +23,8 @@ Result<const MethodInfo*> findMethod(const std::string& name) {
     const std::string meant = nearestName(name, names);
     return base::makeError(
         ErrorCode::badArgument, "there is no method \"", base::printable(name), "\"",
-        meant.empty() ? "" : "; did you mean \"" + meant + "\"?", " There are ", list);
+        meant.empty() ? "; there are " : "; did you mean \"" + meant + "\"? There are ",
+        list);
 }
 
 }  // namespace mtsm::baseline

@@ -112,7 +112,7 @@ Result<Settings> Settings::complete(const std::vector<SettingInfo>& infos,
             return base::makeError(
                 ErrorCode::badArgument, "method ", method, " has no setting \"",
                 base::printable(name), "\"",
-                meant.empty() ? "" : "; did you mean \"" + meant + "\"?", " It has ",
+                meant.empty() ? "; it has " : "; did you mean \"" + meant + "\"? It has ",
                 names.empty() ? "none" : joined(names));
         }
         if (!fits(infos[at], value))

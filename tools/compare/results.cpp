@@ -91,7 +91,7 @@ Rival runsOf(const std::string& method, std::size_t light,
     for (const RunResult& r : session.results()) {
         const PlannedRun& run = plan[r.run];
         if (r.light != light || run.method->name != method || !r.failure.empty() ||
-            r.unanswered > 0)
+            r.unanswered > 0 || r.errors[std::size_t(error)].count == 0)
             continue;
         const Costs costs = costsOf(r, run, error);
         rival.query.push_back(costs.query);
@@ -275,7 +275,7 @@ Json resultsJson(const CompareScene& scene, const std::vector<PlannedRun>& plan,
             continue;
         }
         j["runs"].push_back(runJson(r, run));
-        if (r.unanswered > 0) continue;
+        if (r.unanswered > 0 || r.errors[std::size_t(options.error)].count == 0) continue;
         // Every map against Embree, and the other way round.
         const std::string rival = run.method->name == "embree" ? "mtsm" : "embree";
         j["equalError"].push_back(

@@ -198,7 +198,8 @@ Camera CompareScene::cameraOf(const CameraOptions& options) const {
     if (options.up) camera.up = *options.up;
     camera.pointsPerSide = sideOf(options.points);
     if (Status good = baseline::checkCamera(camera); !good)
-        throw UsageError("--camera-...: " + good.error().message);
+        throw UsageError((options.position ? "--camera-position: " : "--camera-up: ") +
+                         good.error().message);
     return camera;
 }
 
@@ -224,14 +225,17 @@ void CompareScene::takePicture(const CameraOptions& options, Talk& talk) {
     picture_ = baseline::takePicture(
         camera, *reference_, receivers_.get(),
         [&](double done) { (void)talk.progress("taking the picture", done); });
-    if (picture_.pixels() == 0)
-        throw Failure{{ErrorCode::badArgument,
-                       "the camera at " + tripleText(camera.position) +
-                           " that looks at " + tripleText(camera.target) +
-                           " sees nothing: no caster and no receiver; the casters lie "
-                           "between " +
-                           tripleText(reference_->boundsMin()) + " and " +
-                           tripleText(reference_->boundsMax())}};
+    if (picture_.pixels() > 0) return;
+    if (!options.position)
+        throw UsageError("--image: " + options.image +
+                         " pixels that frame the casters, and none of them shows one: "
+                         "they are too thin for it; take more pixels");
+    throw UsageError(
+        "--camera-position: the camera at " + tripleText(camera.position) +
+        " that looks at " + tripleText(camera.target) +
+        " sees nothing: no caster and no receiver; the casters lie between " +
+        tripleText(reference_->boundsMin()) + " and " +
+        tripleText(reference_->boundsMax()));
 }
 
 baseline::MethodScene CompareScene::methodScene(std::size_t light) const {

@@ -351,10 +351,13 @@ std::uint64_t Session::groupKey(std::size_t light) const {
     static const std::uint64_t program = programContent();
     const baseline::MethodScene scene = scene_.methodScene(light);
     const BakeOptions& b = scene.bake;
-    text += "\n" + std::to_string(b.cube) + std::to_string(int(b.cull)) +
-            numberText(b.fov.value_or(0)) + " " + numberText(b.near.value_or(-1)) + " " +
-            numberText(b.far.value_or(-1)) + tripleText(b.up) +
-            tripleText(b.target.value_or(glm::dvec3(0.0)));
+    for (const baseline::PlanarReceiver& p : scene.planes)
+        text += "\n" + tripleText(p.corner) + " " + tripleText(p.edgeX) + " " +
+                tripleText(p.edgeY);
+    text += "\n" + std::to_string(b.cube) + std::to_string(b.aimed) +
+            std::to_string(int(b.cull)) + numberText(b.fov.value_or(0)) + " " +
+            numberText(b.near.value_or(-1)) + " " + numberText(b.far.value_or(-1)) +
+            tripleText(b.up) + tripleText(b.target.value_or(glm::dvec3(0.0)));
     return baseline::combined(baseline::combined(lightKey(light), program),
                               baseline::contentOf(text));
 }
@@ -369,6 +372,9 @@ bool Session::readGroup(std::size_t light) {
     auto values =
         unwrap(baseline::readValues(name + ".values", key, plan_.size() * pixels));
     if (!values) return false;
+    const Failure damaged{{ErrorCode::badFile, name +
+                                                   ".json: is damaged; delete it and the "
+                                                   "runs are made anew"}};
     try {
         const Json all = Json::parse(in);
         const std::size_t first = results_.size() - plan_.size();
@@ -381,13 +387,15 @@ bool Session::readGroup(std::size_t light) {
                             readTiming(j.at("build").at(1))};
             result.query = {readTiming(j.at("query").at(0)),
                             readTiming(j.at("query").at(1))};
+            const bool timed = result.build.one && result.build.all && result.query.one &&
+                               result.query.all;
+            if (result.failure.empty() && !timed) throw damaged;
             const auto from = values->begin() + std::ptrdiff_t(r * pixels);
             if (result.failure.empty())
                 result.values.assign(from, from + std::ptrdiff_t(pixels));
         }
     } catch (const Json::exception&) {
-        throw Failure{{ErrorCode::badFile, name + ".json: is damaged; delete it and the "
-                                                  "runs are made anew"}};
+        throw damaged;
     }
     talk_.say("light " + std::to_string(light + 1) + ": all runs from the cache");
     return true;

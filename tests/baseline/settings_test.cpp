@@ -1,0 +1,153 @@
+// Settings by name, and the methods that have them.
+#include "baseline/settings.h"
+
+#include <catch2/catch.hpp>
+#include <cmath>
+#include <limits>
+#include <set>
+
+#include "baseline/methods.h"
+
+using namespace mtsm;
+using namespace mtsm::baseline;
+
+namespace {
+
+const std::vector<SettingInfo> kInfos = {
+    wholeSetting("samples", 256, 1, 4096, "rays a point"),
+    numberSetting("bias", -1.0, -1.0, 10.0, "world units", SettingUse::build),
+    flagSetting("adaptive", false, "stops early"),
+    wordSetting("lookup", {"trace", "pcf"}, "how"),
+};
+
+/// What is said of one wrong setting.
+std::string refusal(const std::string& name, const SettingValue& value) {
+    const auto settings = Settings::complete(kInfos, {{name, value}}, "mvsm");
+    REQUIRE_FALSE(settings);
+    CHECK(settings.error().code == ErrorCode::badArgument);
+    return settings.error().message;
+}
+
+}  // namespace
+
+TEST_CASE("what is not given has its fallback, in the order of the infos", "[baseline]") {
+    const auto settings = Settings::complete(
+        kInfos, {{"lookup", std::string("pcf")}, {"samples", 64.0}}, "m");
+    REQUIRE(settings);
+    CHECK(settings->whole("samples") == 64);
+    CHECK(settings->number("bias") == -1.0);
+    CHECK_FALSE(settings->flag("adaptive"));
+    CHECK(settings->word("lookup") == "pcf");
+    REQUIRE(settings->all().size() == kInfos.size());
+    for (std::size_t i = 0; i < kInfos.size(); ++i)
+        CHECK(settings->all()[i].first == kInfos[i].name);
+}
+
+TEST_CASE("values at their bounds are taken", "[baseline]") {
+    for (const double samples : {1.0, 4096.0})
+        CHECK(Settings::complete(kInfos, {{"samples", samples}}, "m"));
+    for (const double bias : {-1.0, 0.25, 10.0})
+        CHECK(Settings::complete(kInfos, {{"bias", bias}}, "m"));
+}
+
+TEST_CASE("numbers out of range, broken ones and none are refused with what was expected",
+          "[baseline][bad-input]") {
+    const double nan = std::numeric_limits<double>::quiet_NaN();
+    for (const double samples : {0.0, 4097.0, -1.0, 1.5, nan, HUGE_VAL})
+        CHECK_THAT(refusal("samples", samples),
+                   Catch::Contains("method mvsm, samples: found " + settingText(samples) +
+                                   ", expected a whole number from 1 to 4096"));
+    for (const double bias : {-1.01, 10.01, nan, -HUGE_VAL})
+        CHECK_THAT(refusal("bias", bias), Catch::Contains("a number from -1 to 10"));
+}
+
+TEST_CASE("values of another type are refused with what was expected",
+          "[baseline][bad-input]") {
+    CHECK_THAT(refusal("samples", true),
+               Catch::Contains("found true") && Catch::Contains("a whole number"));
+    CHECK_THAT(refusal("samples", std::string("64")), Catch::Contains("a whole number"));
+    CHECK_THAT(refusal("adaptive", 1.0),
+               Catch::Contains("found 1,") && Catch::Contains("true or false"));
+    CHECK_THAT(refusal("lookup", false), Catch::Contains("one of trace, pcf"));
+    CHECK_THAT(refusal("lookup", std::string("Trace")),
+               Catch::Contains("found Trace, expected one of trace, pcf"));
+    // What a file brings cannot steer a terminal.
+    CHECK(refusal("lookup", std::string("\x1b[2J")).find('\x1b') == std::string::npos);
+}
+
+TEST_CASE("an unknown setting is refused with the nearest name and all that there are",
+          "[baseline][bad-input]") {
+    CHECK_THAT(refusal("smaples", 1.0),
+               Catch::Contains("method mvsm has no setting \"smaples\"; did you mean "
+                               "\"samples\"? It has samples, bias, adaptive, lookup"));
+    CHECK_THAT(refusal("resolution", 1.0),
+               Catch::Contains("has no setting \"resolution\"; it has samples, bias"));
+    const auto bare = Settings::complete({}, {{"samples", 1.0}}, "plain");
+    REQUIRE_FALSE(bare);
+    CHECK_THAT(bare.error().message, Catch::Contains("it has none"));
+}
+
+TEST_CASE("the nearest name is near, and the first of equally near ones", "[baseline]") {
+    const std::vector<std::string> names = {"resolution", "samples", "mode", "node"};
+    CHECK(nearestName("sampels", names) == "samples");
+    CHECK(nearestName("resolutoin", names) == "resolution");
+    CHECK(nearestName("samples", names) == "samples");
+    CHECK(nearestName("ode", names) == "mode");
+    CHECK(nearestName("opacity", names).empty());
+    CHECK(nearestName("", {"resolution"}).empty());
+    CHECK(nearestName("x", {}).empty());
+}
+
+TEST_CASE("texts of values are what a scene file would have", "[baseline]") {
+    CHECK(settingText(true) == "true");
+    CHECK(settingText(false) == "false");
+    CHECK(settingText(64.0) == "64");
+    CHECK(settingText(0.1) == "0.1");
+    CHECK(settingText(-1.0) == "-1");
+    CHECK(settingText(std::string("pcf")) == "pcf");
+    // The longest that doubles have.
+    const double longest = -std::numeric_limits<double>::denorm_min() * 3;
+    CHECK(std::stold(settingText(-1.7976931348623157e308)) == -1.7976931348623157e308L);
+    CHECK(settingText(longest).size() < 32);
+}
+
+TEST_CASE("every method is found by its name and works with its own fallbacks",
+          "[baseline]") {
+    std::set<std::string> names;
+    for (const MethodInfo& info : methods()) {
+        INFO(info.name);
+        CHECK(names.insert(info.name).second);
+        CHECK_FALSE(info.title.empty());
+        CHECK_FALSE(info.source.empty());
+        REQUIRE(info.build);
+        const auto found = findMethod(info.name);
+        REQUIRE(found);
+        CHECK(*found == &info);
+        // Given one by one, as a scene file would have them.
+        Settings::Given all;
+        std::set<std::string> own;
+        for (const SettingInfo& setting : info.settings) {
+            INFO(setting.name);
+            CHECK(own.insert(setting.name).second);
+            CHECK_FALSE(setting.help.empty());
+            all.emplace_back(setting.name, setting.fallback);
+        }
+        CHECK(Settings::complete(info.settings, all, info.name));
+    }
+}
+
+TEST_CASE("an unknown method is refused with the nearest name and all that there are",
+          "[baseline][bad-input]") {
+    const auto near = findMethod("mtms");
+    REQUIRE_FALSE(near);
+    CHECK(near.error().code == ErrorCode::badArgument);
+    CHECK_THAT(
+        near.error().message,
+        Catch::Contains("there is no method \"mtms\"; did you mean \"mtsm\"? There "
+                        "are "));
+    const auto far = findMethod("photon-mapping");
+    REQUIRE_FALSE(far);
+    CHECK_THAT(far.error().message, Catch::Contains("\"photon-mapping\"; there are "));
+    for (const MethodInfo& info : methods())
+        CHECK_THAT(far.error().message, Catch::Contains(info.name));
+}
