@@ -1,0 +1,622 @@
+#!/usr/bin/env python3
+"""mtsm-compare as a user meets it: `compare_test.py MTSM_COMPARE MTSM_BAKE MTSM_QUERY [unittest arguments]`.
+
+The scene is a square of side 2, one unit above the ground, on a leg that stands on it. Pictures are tiny:
+what the methods answer is tested in the library.
+"""
+import csv
+import json
+import math
+import os
+import pathlib
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import unittest
+
+import cli_test
+from cli_test import TOOLS, as_nobody, read_exr, read_png, run, write_exr
+
+TABLE = """v -1 1 -1
+v 1 1 -1
+v 1 1 1
+v -1 1 1
+v -0.1 0 0
+v 0.1 0 0
+v 0 1 0
+f 1 2 3 4
+f 5 6 7
+"""
+LIGHT = ["--light-radius", "0.4", "--light-position", "1,4,0"]
+SMALL = ["--image", "40x20", "--truth", 64, "--measured-pixels", 64, "--repeats", 1]
+OPTIONS = """--folder --cache --no-cache --no-pictures --light-shape --light-position --light-target
+             --light-direction --light-up --light-radius --light-size --light-angle --light-name --projection
+             --fov --near --far --cull --light-scales --camera-position --camera-target --camera-up
+             --camera-fov --image --points --pixels --position-pass --normal-pass --method --list-methods
+             --truth --measured-pixels --repeats --targets --error --recommend --threads --quiet --json
+             --version --help"""
+JOB = """[light]
+radius = 0.4
+position = [1, 4, 0]
+
+[compare]
+light-scales = [0.5, 1]
+targets = [0.1]
+{compare}
+[camera]
+position = [2, 3, 6]
+target = [0, 0.5, 0]
+fov = 40
+{camera}
+[[caster]]
+file = "table.obj"
+{more}
+"""
+METHOD = """[[method]]
+name = "mtsm"
+resolution = [64, 128]
+samples = [4, 64]
+"""
+FLOOR = """[[receiver]]
+floor = true
+"""
+
+
+def job(more=FLOOR + METHOD, camera="", compare=""):
+    text = JOB.format(more=more, camera=camera, compare=compare)
+    pathlib.Path("shot.toml").write_text(text)
+    return text
+
+
+class Compare(cli_test.ToolTest):
+    def setUp(self):
+        super().setUp()
+        os.remove("scene.obj")
+        pathlib.Path("table.obj").write_text(TABLE)
+
+    def compare(self, *arguments, inputs=("table.obj",), light=LIGHT, folder="out", without=(), **more):
+        """`arguments` take the place of those of SMALL."""
+        known = {*arguments, *without}
+        small = [(o, v) for o, v in zip(SMALL[::2], SMALL[1::2]) if o not in known]
+        return run("compare", *inputs, *light, *[x for pair in small for x in pair], "--quiet", "-o", folder,
+                   *arguments, **more)
+
+    def of_job(self, *arguments, **more):
+        own = ["--image"] if "image =" in pathlib.Path("shot.toml").read_text() else []
+        return self.compare(*arguments, inputs=["shot.toml"], light=[], without=own, **more)
+
+    def results(self, folder="out"):
+        return json.loads(pathlib.Path(folder, "results.json").read_text())
+
+    def has(self, method):
+        return method in TOOLS["methods"]
+
+    def needs(self, method):
+        if not self.has(method):
+            self.skipTest(f"there is no method {method}")
+
+    def nothing_came_out(self, folder="out"):
+        """No result, and no temporary either."""
+        left = [n for _, _, names in os.walk(folder) for n in names if not n.endswith((".values", ".json"))]
+        self.assertEqual(left, [])
+        self.assertFalse(pathlib.Path(folder, "results.json").exists())
+
+
+class Help(Compare):
+    def test_help_mentions_every_option_and_the_exit_codes(self):
+        text = self.good(run("compare", "--help")).stdout
+        for option in OPTIONS.split():
+            self.assertRegex(text, rf"(?<![\w-]){option}(?![\w-])")
+        self.assertIn("Examples:", text)
+        self.assertIn("Exit codes: 0 good", text)
+        self.assertLessEqual(max(map(len, text.splitlines())), 100)
+        self.assertRegex(self.good(run("compare", "--version")).stdout, r"^mtsm-compare \d+\.\d+\.\d+\n$")
+
+    def test_methods_are_listed_with_their_settings(self):
+        text = self.good(run("compare", "--list-methods")).stdout
+        self.assertRegex(text, r"(?m)^mtsm: .*\[Xie07\]$")
+        self.assertRegex(text, r"(?m)^  resolution = 1024  \(1 to 16384\)  pixels")
+        self.assertRegex(text, r"(?m)^  lookup = trace  \(trace, pcf\)")
+        self.assertLessEqual(max(map(len, text.splitlines())), 120)
+
+
+class CommandLine(Compare):
+    def test_casters_stand_on_a_floor_and_everything_is_written(self):
+        done = self.good(self.compare("--method", "mtsm", "--truth", 1024))
+        j = self.results()
+        self.assertEqual((j["format"], j["version"]), ("mtsm-compare", 1))
+        self.assertEqual(j["scene"]["triangles"], 3)
+        self.assertEqual(j["scene"]["image"], [40, 20])
+        self.assertEqual(j["scene"]["pixels"], 800)  # the floor fills what the table does not
+        self.assertTrue(50 < j["scene"]["objectPixels"] < 400, j["scene"])
+        self.assertEqual(j["scene"]["measuredPixels"], 64)
+        self.assertEqual([light["radius"] for light in j["lights"]], [0.4])
+        self.assertEqual(j["lights"][0]["truth"]["samples"], 1024)
+        self.assertEqual(j["failed"], [])
+        self.assertEqual({m["name"] for m in j["methods"]}, {"mtsm"})
+        for r in j["runs"]:
+            self.assertEqual(r["unanswered"], 0)
+            for threads in ("one", "all"):
+                for what in ("build", "query"):
+                    t = r[what][threads]
+                    self.assertTrue(0 < t["least"] <= t["median"] <= t["most"], t)
+            for e in r["errors"].values():
+                self.assertTrue(0 <= e["p95"] <= e["p99"] <= e["largest"] <= 1, e)
+                self.assertLessEqual(abs(e["bias"]), e["mean"] + 1e-12)
+            # A lit cosine is at most 1.
+            for kind in ("image", "object"):
+                self.assertLessEqual(r["errors"][kind + "Cosine"]["mean"], r["errors"][kind]["mean"])
+        best = min(r["errors"]["image"]["mean"] for r in j["runs"])
+        self.assertLess(best, 0.003)
+        self.assertIn("mtsm", done.stdout)
+        for r in j["runs"]:
+            self.assertIn(r["label"], done.stdout)
+        # One row a run, and the same numbers.
+        rows = list(csv.DictReader(open("out/results.csv")))
+        self.assertEqual([row["label"] for row in rows], [r["label"] for r in j["runs"]])
+        for row, r in zip(rows, j["runs"]):
+            self.assertEqual(float(row["query_one"]), r["query"]["one"]["median"])
+            self.assertEqual(float(row["image_mean"]), r["errors"]["image"]["mean"])
+            self.assertEqual(float(row["objectCosine_p99"]), r["errors"]["objectCosine"]["p99"])
+            self.assertEqual(int(row["memory"]), r["build"]["memoryBytes"])
+        # Pictures: what the numbers were taken from.
+        _, _, truth = read_exr("out/truth-1.exr")
+        self.assertEqual(read_png("out/" + j["lights"][0]["truth"]["image"])[:2], (40, 20))
+        self.assertTrue(0.02 < sum(truth["shadow"]) / 800 < 0.6)
+        for r in j["runs"]:
+            self.assertEqual(read_png("out/" + r["image"])[:2], (40, 20))
+            self.assertEqual(read_png("out/" + r["difference"])[:2], (40, 20))
+            _, _, c = read_exr(f"out/{r['id']}.exr")
+            for s, t, d in zip(c["shadow"], truth["shadow"], c["difference"]):
+                self.assertAlmostEqual(s - t, d, places=6)
+            mean = sum(map(abs, c["difference"])) / 800
+            self.assertAlmostEqual(mean, r["errors"]["image"]["mean"], places=6)
+            self.assertAlmostEqual(sum(c["difference"]) / 800, r["errors"]["image"]["bias"], places=6)
+        page = pathlib.Path("out/report.html").read_text()
+        self.assertIn("data:image/png;base64", page)
+        self.assertEqual(sorted(n for n in os.listdir("out") if "." not in n), ["cache"])
+
+    def test_json_is_what_is_written_and_no_pictures_are_made_unasked(self):
+        done = self.good(self.compare("--method", "mtsm", "--json", "--no-pictures", "--no-cache"))
+        self.assertEqual(json.loads(done.stdout), self.results())
+        self.assertEqual(sorted(os.listdir("out")), ["results.csv", "results.json"])
+
+    def test_ray_tracing_s_error_falls_with_its_samples(self):
+        self.needs("embree")
+        self.good(self.compare("--method", "embree", "--truth", 1024, "--no-pictures"))
+        errors = [r["errors"]["image"]["mean"] for r in sorted(
+            self.results()["runs"], key=lambda r: r["settings"]["samples"])]
+        self.assertEqual(len(errors), 5)
+        for more, less in zip(errors[1:], errors):
+            self.assertLess(more, less)
+        self.assertLess(errors[-1], errors[0] / 8)
+
+    def test_a_light_that_is_scaled_is_compared_at_each_size(self):
+        self.good(self.compare("--method", "mtsm", "--light-scales", "0,0.5,2", "--no-pictures"))
+        j = self.results()
+        self.assertEqual([l["radius"] for l in j["lights"]], [0, 0.2, 0.8])
+        self.assertEqual({r["light"] for r in j["runs"]}, {0, 1, 2})
+
+    def test_some_pixels_of_a_picture_and_several_points_of_each(self):
+        self.good(self.compare("--method", "mtsm", "--points", 4, "--pixels", 128))
+        scene = self.results()["scene"]
+        self.assertEqual((scene["pixels"], scene["comparedPixels"], scene["pointsPerPixel"]), (800, 128, 4))
+        self.assertEqual(scene["points"], 3200)
+
+    def test_only_what_a_caster_shows_may_count(self):
+        self.good(self.compare("--method", "mtsm", "--error", "object", "--no-pictures"))
+        j = self.results()
+        self.assertEqual(j["errorKind"], "object")
+        # Where no pixel shows one, nothing is best by having no error.
+        done = self.good(self.compare(
+            "--method", "mtsm", "--error", "object", "--no-pictures", "--camera-position", "0.6,0.5,-1.4",
+            "--camera-target", "0.6,0,-1.5", "--camera-fov", 20, "--recommend", "error=0.5", folder="floor"))
+        j = self.results("floor")
+        self.assertEqual(j["scene"]["objectPixels"], 0)
+        self.assertEqual([t["cheapest"] for t in j["targets"]], [[]] * 4)
+        self.assertEqual(j["equalError"], [])
+        self.assertIn("none of what was compared meets it", done.stderr)
+
+
+class Recommended(Compare):
+    def follow(self, done):
+        """Runs the lines that were recommended; the shadow factors that come out."""
+        lines = re.findall(r"(?m)^  (mtsm-(?:bake|query) .*)$", done.stderr)
+        self.assertEqual([line.split()[0] for line in lines], ["mtsm-bake", "mtsm-query"], done.stderr)
+        os.mkdir("bin")
+        for tool in ("bake", "query"):
+            os.symlink(TOOLS[tool], f"bin/mtsm-{tool}")
+        for line in lines:
+            made = subprocess.run(line, shell=True, capture_output=True, text=True,
+                                  env={**os.environ, "PATH": os.path.abspath("bin") + ":" + os.environ["PATH"]})
+            self.assertEqual(made.returncode, 0, line + "\n" + made.stderr)
+        return read_exr("shadow.exr")[2]["shadow"]
+
+    def pass_of_floor(self):
+        """Points on the floor below, 40 x 20, with normals."""
+        xs = [-3 + 6 * (x + 0.5) / 40 for _ in range(20) for x in range(40)]
+        zs = [-1.5 + 3 * (y + 0.5) / 20 for y in range(20) for _ in range(40)]
+        zero, one = [0.0] * 800, [1.0] * 800
+        write_exr("floor P.exr", 40, 20, {"P.X": xs, "P.Y": zero, "P.Z": zs})
+        write_exr("N.exr", 40, 20, {"N.X": zero, "N.Y": one, "N.Z": zero})
+        return ["--position-pass", "floor P.exr", "--normal-pass", "N.exr"]
+
+    def check_followed(self, done, light=1):
+        shadow = self.follow(done)
+        truth = read_exr(f"out/truth-{light}.exr")[2]["shadow"]
+        self.assertGreater(max(truth), 0.9)
+        self.assertLess(sum(abs(s - t) for s, t in zip(shadow, truth)) / 800, 0.011)
+
+    def small_pass(self, *arguments, **more):
+        return run("compare", *arguments, *SMALL[2:], "--quiet", "-o", "out", **more)
+
+    def test_lines_for_an_error_work_from_casters(self):
+        os.rename("table.obj", "my table's.obj")
+        self.check_followed(self.good(self.small_pass(
+            "my table's.obj", *LIGHT, *self.pass_of_floor(), "--method", "mtsm", "--recommend", "error=0.01")))
+
+    def test_lines_for_a_time_work_from_a_scene_file(self):
+        job()
+        done = self.good(self.small_pass("shot.toml", *self.pass_of_floor(), "--light-scales", "0.7",
+                                         "--recommend", "time=10min"))
+        self.check_followed(done)
+
+    def test_what_nothing_meets_is_told_with_the_nearest(self):
+        done = self.good(self.compare("--method", "mtsm", "--recommend", "time=0.000001ms", "--no-pictures"))
+        self.assertIn("none of what was compared meets it; nearest: mtsm", done.stderr)
+        self.assertNotIn("mtsm-bake", done.stderr)
+
+    def test_wishes_that_are_none(self):
+        for wish in ("0.005", "error=", "error=0", "error=-1", "error=nan", "error=1s", "time=2", "time=2h",
+                     "time=1e999s", "speed=1", ""):
+            self.fails(self.compare("--recommend", wish), 2, "--recommend")
+        self.assertFalse(os.path.exists("out"))
+
+
+class SceneFile(Compare):
+    def test_sweeps_cameras_and_receivers(self):
+        job(camera="image = [40, 20]", compare="truth = 32\nmeasured-pixels = 64\nrepeats = 1\n")
+        self.good(run("compare", "shot.toml", "--quiet", "-o", "out"))
+        j = self.results()
+        self.assertEqual([light["scale"] for light in j["lights"]], [0.5, 1])
+        labels = ["mtsm resolution=64 samples=4", "mtsm resolution=64 samples=64",
+                  "mtsm resolution=128 samples=4", "mtsm resolution=128 samples=64"]
+        self.assertEqual([(r["light"], r["label"]) for r in j["runs"]],
+                         [(light, label) for light in (0, 1) for label in labels])
+        self.assertEqual(len({r["id"] for r in j["runs"]}), 8)
+        self.assertEqual([(t["light"], t["error"]) for t in j["targets"]], [(0, 0.1), (1, 0.1)])
+        for few, many in zip(j["runs"][::2], j["runs"][1::2]):
+            self.assertGreater(few["errors"]["image"]["mean"], many["errors"]["image"]["mean"])
+            self.assertEqual(few["series"], many["series"])
+        self.assertEqual(j["runs"][0]["settings"]["resolution"], 64)
+
+    def test_mtsm_bake_accepts_the_same_file(self):
+        job(more=FLOOR + '[[receiver]]\nplane = [0, 0, 0, 1, 0, 0, 0, 0, -1]\n' + METHOD,
+            camera="image = [40, 20]\npoints = 4\npixels = 64\n", compare="truth = 32\n")
+        self.good(run("bake", "shot.toml", "--resolution", 32, "--quiet", "-o", "key.mtsm"))
+        self.assertTrue(os.path.exists("key.mtsm"))
+
+    def test_the_command_line_comes_first(self):
+        job(camera="image = [60, 60]")
+        self.good(run("compare", "shot.toml", *SMALL, "--quiet", "--light-scales", "1", "--light-radius", "0.1",
+                      "--no-pictures", "-o", "out"))
+        j = self.results()
+        self.assertEqual(j["scene"]["image"], [40, 20])
+        self.assertEqual([light["radius"] for light in j["lights"]], [0.1])
+
+    def test_receivers_are_seen_and_cast_nothing(self):
+        pathlib.Path("lid.obj").write_text(TABLE.replace(" 1 ", " 2 ").replace("\nf 5 6 7", ""))
+        job(more=FLOOR + '[[receiver]]\nfile = "lid.obj"\n' + METHOD)
+        self.good(self.of_job("--light-scales", "1"))
+        lid = read_exr("out/truth-1.exr")[2]["shadow"]
+        job()
+        self.good(self.of_job("--light-scales", "1", folder="bare"))
+        bare = read_exr("bare/truth-1.exr")[2]["shadow"]
+        self.assertNotEqual(lid, bare)
+        # What the lid hides is in the light as it is; all else stays as it was.
+        self.assertTrue(all(a == b or a < 0.01 for a, b in zip(lid, bare)))
+
+    def test_wrong_methods_and_settings_are_told_at_their_place(self):
+        line = job().count("\n") - METHOD.count("\n")
+        for wrong, right, *words in (
+                ('"mtsm"', '"mtms"', 'no method "mtms"; did you mean "mtsm"?'),
+                ("samples", "sampels", 'no setting "sampels"; did you mean "samples"?'),
+                ("[4, 64]", "[4, 0.5]", "samples: found 0.5, expected a whole number from 1 to 4096"),
+                ("[4, 64]", '"many"', "samples: found many, expected a whole number"),
+                ("[4, 64]", "[]", "samples: found an empty list"),
+                ("[4, 64]", "[[4]]", "samples: found a list of 1 value"),
+                ("[4, 64]", "{ a = 1 }", "samples: found a table"),
+                ("[4, 64]", "inf", "samples: found the number inf"),
+                ('name = "mtsm"', "", 'no name = "..."'),
+                ('name = "mtsm"', 'name = ["mtsm", "embree"]', "the name of a method, in quotes"),
+                ("[4, 64]", str(list(range(1, 2002))), "more than 2000 combinations")):
+            with self.subTest(right=right[:20]):
+                job(more=FLOOR + METHOD.replace(wrong, right))
+                done = self.fails(self.of_job(), 4, *words)
+                place = re.search(r"shot\.toml:(\d+):\d+: ", done.stderr)
+                self.assertTrue(place, done.stderr)
+                self.assertTrue(line <= int(place[1]) <= line + 5, done.stderr)
+                self.assertFalse(os.path.exists("out"))
+
+    def test_wrong_cameras_receivers_and_numbers_are_told_at_their_place(self):
+        job()
+        for kind, text, *words in (
+                ("camera", "points = 3", "camera.points", "found 3", "square"),
+                ("camera", "image = 0", "camera.image"),
+                ("camera", "image = [40, -2]", "camera.image"),
+                ("camera", "up = [2, 2.5, 6]", "camera.position", "along its up"),
+                ("camera", 'normal-pass = "table.obj"', "camera.normal-pass", "position pass"),
+                ("camera", "postion = 3", '"postion"', '"position"'),
+                ("compare", "truth = 0", "compare.truth"),
+                ("compare", "repeats = 1.5", "repeats", "a whole number"),
+                ("compare", 'truth = "all"', "truth", "a whole number"),
+                ("more", "[[receiver]]\n", "one of file"),
+                ("more", "[[receiver]]\nfloor = true\nplane = [0,0,0,1,0,0,0,0,1]\n", "one of file"),
+                ("more", "[[receiver]]\nplane = [1, 2, 3]\n", "9 finite numbers"),
+                ("more", "[[receiver]]\nplane = [0,0,0, 1,0,0, 2,0,0]\n", "no area"),
+                ("more", "[[receiver]]\nfloor = 1\n", "true or false"),
+                ("more", "[[receiver]]\nfile = \"table.obj\"\nheight = 1\n", "floor = true alone"),
+                ("more", "[[reciever]]\nfloor = true\n", '"reciever"', '"receiver"'),
+                ("more", "[receiver]\nfloor = true\n", "[[receiver]]"),
+                ("more", "[method]\nname = \"mtsm\"\n", "[[method]]")):
+            with self.subTest(text=text):
+                job(**{kind: text})
+                self.fails(self.of_job(), 4, "shot.toml:", *words)
+                self.nothing_came_out()
+        text = job().replace("[0.5, 1]", "[1, -1]")
+        pathlib.Path("shot.toml").write_text(text)
+        self.fails(self.of_job(), 4, "shot.toml:6:1: compare.light-scales: found -1")
+        for wrong in ('"big"', "[]", '["big"]', "1", "[1, nan]"):
+            pathlib.Path("shot.toml").write_text(text.replace("[1, -1]", wrong))
+            self.fails(self.of_job(), 4, "shot.toml:6:", "light-scales", "a list of finite numbers")
+        job(more='[[receiver]]\nfile = "none.obj"\n')
+        self.fails(self.of_job(), 3, "shot.toml:", "none.obj")
+
+    def test_a_camera_that_sees_nothing(self):
+        away = job().replace("target = [0, 0.5, 0]", "target = [4, 6, 12]")
+        pathlib.Path("shot.toml").write_text(away)
+        line = away[:away.index("position = [2")].count("\n") + 1
+        self.fails(self.of_job(), 4, f"shot.toml:{line}:1: camera.position: the camera at 2, 3, 6",
+                   "sees nothing", "-1, 0, -1", "1, 1, 1")
+        self.nothing_came_out()
+
+    def test_two_scene_files_or_one_beside_casters(self):
+        job()
+        self.fails(self.compare(inputs=["shot.toml", "table.obj"], light=[]), 2, "give it alone")
+
+
+class Cache(Compare):
+    MTSM = ["--method", "mtsm", "--light-scales", "1,0.5"]
+
+    def truths(self, folder="out/cache"):
+        return sorted(pathlib.Path(folder).glob("truth-*.values"))
+
+    def test_a_second_run_takes_all_from_it(self):
+        first = self.good(self.compare(*self.MTSM))
+        kept = {p: p.read_bytes() for p in pathlib.Path("out/cache").iterdir()}
+        self.assertEqual(len(self.truths()), 2)
+        before = self.results()
+        second = self.good(self.compare(*self.MTSM))
+        self.assertEqual(first.stdout, second.stdout)
+        after = self.results()
+        self.assertEqual([l["truth"].pop("cached") for l in before["lights"]], [False, False])
+        self.assertEqual([l["truth"].pop("cached") for l in after["lights"]], [True, True])
+        for j in (before, after):
+            for light in j["lights"]:
+                light["truth"].pop("seconds")
+        self.assertEqual(before, after)
+        self.assertEqual(kept, {p: p.read_bytes() for p in pathlib.Path("out/cache").iterdir()})
+
+    def test_it_may_be_elsewhere_or_left_out(self):
+        self.good(self.compare(*self.MTSM, "--cache", "a/b"))
+        self.assertEqual(len(self.truths("a/b")), 2)
+        self.assertNotIn("cache", os.listdir("out"))
+        self.good(self.compare(*self.MTSM, "--cache", "a/b", folder="other"))
+        self.assertTrue(all(light["truth"]["cached"] for light in self.results("other")["lights"]))
+        self.good(self.compare(*self.MTSM, "--cache", "a/b", "--no-cache", folder="third"))
+        self.assertFalse(any(light["truth"]["cached"] for light in self.results("third")["lights"]))
+
+    def test_whatever_changes_the_answer_is_computed_anew(self):
+        def cached(*arguments):
+            self.good(self.compare("--method", "mtsm", "--no-pictures", *arguments))
+            return self.results()["lights"][0]["truth"]["cached"]
+
+        self.assertFalse(cached())
+        self.assertTrue(cached())
+        self.assertTrue(cached("--repeats", 2))  # another timing, the same truth
+        self.assertFalse(cached("--truth", 65))
+        self.assertFalse(cached("--image", "40x21"))
+        self.assertFalse(cached("--points", 4))
+        self.assertFalse(cached("--light-scales", "2"))
+        pathlib.Path("table.obj").write_text(TABLE.replace("v 1 1 1", "v 1 1 1.5"))
+        self.assertFalse(cached())
+
+    def test_damaged_files_are_told_with_the_way_out(self):
+        arguments = ["--method", "mtsm", "--no-pictures"]
+        self.good(self.compare(*arguments))
+        os.remove("out/results.json")
+        for path in pathlib.Path("out/cache").iterdir():
+            whole = path.read_bytes()
+            damages = {"cut": whole[:len(whole) // 2], "empty": b""}
+            if path.suffix == ".values":
+                damages["flipped"] = whole[:-1] + bytes([whole[-1] ^ 1])
+                damages["longer"] = whole + b"x"
+            else:
+                damages["timeless"] = re.sub(rb"\[[\d., e\n-]*\]", b"null", whole)
+                damages["another"] = b'{"a": 1}'
+                damages["text"] = whole.replace(b'"memory": ', b'"memory": "", "m": ')
+            for what, damaged in damages.items():
+                with self.subTest(file=path.suffix, what=what):
+                    self.assertNotEqual(whole, damaged)
+                    path.write_bytes(damaged)
+                    self.fails(self.compare(*arguments), 4, path.name, "delete it")
+                    self.assertFalse(os.path.exists("out/results.json"))
+            path.write_bytes(whole)
+        self.good(self.compare(*arguments))
+
+    def test_the_truth_of_another_scene_is_refused(self):
+        arguments = ["--method", "mtsm", "--no-pictures"]
+        self.good(self.compare(*arguments))
+        self.good(self.compare(*arguments, "--light-scales", "3", folder="other"))
+        shutil.copy(self.truths()[0], self.truths("other/cache")[0])
+        self.fails(self.compare(*arguments, "--light-scales", "3", folder="other"), 4,
+                   self.truths("other/cache")[0].name, "another scene", "delete it")
+
+    def test_stopped_in_the_middle_it_goes_on_where_it_was(self):
+        arguments = [TOOLS["compare"], "table.obj", *LIGHT, "--image", "40x20", "--truth", "2048",
+                     "--light-scales", "1,0.5,0.25", "--measured-pixels", "64", "--repeats", "1", "--method",
+                     "mtsm", "--no-pictures", "-o", "out"]
+        running = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        until = time.monotonic() + 120
+        while not self.truths() and running.poll() is None and time.monotonic() < until:
+            time.sleep(0.005)
+        running.send_signal(signal.SIGINT)
+        self.assertEqual(running.wait(60), -signal.SIGINT)
+        had = len(self.truths())
+        self.assertGreater(had, 0)
+        self.assertFalse(os.path.exists("out/results.json"))
+        subprocess.run(arguments, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        cached = [light["truth"]["cached"] for light in self.results()["lights"]]
+        self.assertEqual(cached, [True] * had + [False] * (3 - had))
+
+
+class BadInput(Compare):
+    def test_usage(self):
+        for arguments, *words in (
+                (["--method", "mtms"], "--method", 'no method "mtms"; did you mean "mtsm"?'),
+                (["--method", "photons"], "--method", '"photons"; there are mtsm'),
+                (["--points", 3], "--points", "found 3"),
+                (["--points", 0], "--points"),
+                (["--image", "0"], "--image"),
+                (["--image", "40x0"], "--image"),
+                (["--image", "wide"], "--image"),
+                (["--image", "99999"], "--image"),
+                (["--truth", 0], "--truth"),
+                (["--truth", 5000], "--truth"),
+                (["--repeats", 0], "--repeats"),
+                (["--measured-pixels", 1], "--measured-pixels"),
+                (["--targets", "0.1,low"], "--targets", '"0.1,low"', "a list such as"),
+                (["--targets", "nan"], "--targets"),
+                (["--targets", ""], "--targets"),
+                (["--light-scales", "1,"], "--light-scales", '"1,"'),
+                (["--light-scales", "inf"], "--light-scales"),
+                (["--light-scales", "1,-2"], "--light-scales", "-2", "at least 0"),
+                (["--error", "median"], "--error"),
+                (["--camera-fov", 200], "--camera-fov"),
+                (["--camera-position", "0,5,9", "--camera-fov", 0], "--camera-position", "field of view"),
+                (["--camera-position", "0,5"], "--camera-position"),
+                (["--camera-target", "0,5,0"], "--camera-position is missing"),
+                (["--camera-position", "0,5,9", "--camera-target", "0,5,9"], "--camera-position", "target"),
+                (["--camera-position", "0,5,0", "--camera-target", "0,0,0"], "--camera-position", "its up"),
+                (["--camera-up", "0,0,0"], "--camera-up"),
+                (["--normal-pass", "N.exr"], "--normal-pass", "position pass"),
+                (["--light-target", "1,4,0"], "--light-target")):
+            with self.subTest(arguments=arguments):
+                self.fails(self.compare(*arguments), 2, *words, "--help")
+                self.nothing_came_out()
+
+    def test_what_is_needed(self):
+        self.fails(run("compare"), 2, "INPUT")
+        self.fails(run("compare", "table.obj", *LIGHT), 2, "-o: is required")
+        self.fails(self.compare(light=[]), 2, "--light-position is missing")
+        self.fails(self.compare(inputs=["none.obj"]), 3, "none.obj")
+        self.fails(self.compare(inputs=["none.toml"], light=[]), 3, "none.toml")
+        pathlib.Path("broken.obj").write_text("v 0 0 0\n")
+        self.fails(self.compare(inputs=["broken.obj"]), 4, "broken.obj")
+        self.nothing_came_out()
+
+    def test_casters_that_cast_nothing(self):
+        pathlib.Path("clear.obj").write_text("mtllib clear.mtl\nusemtl clear\n" + TABLE)
+        pathlib.Path("clear.mtl").write_text("newmtl clear\nd 0\n")
+        self.fails(self.compare(inputs=["clear.obj"]), 4, "hold nothing that casts")
+        self.nothing_came_out()
+
+    def test_a_camera_that_sees_nothing(self):
+        self.fails(self.compare("--camera-position", "0,5,9", "--camera-target", "0,9,20"), 2,
+                   "--camera-position: the camera at 0, 5, 9 that looks at 0, 9, 20 sees nothing",
+                   "between -1, 0, -1 and 1, 1, 1")
+        self.nothing_came_out()
+
+    def test_a_light_among_the_casters_is_one_for_ray_tracing(self):
+        among = ["--light-radius", "0.05", "--light-position", "0.5,0.5,0"]
+        done = self.fails(self.compare("--method", "mtsm", light=among), 2, "none of the methods can do this",
+                          "inside the casters' bounds", "--projection cube")
+        self.nothing_came_out()
+        self.good(self.compare("--method", "mtsm", "--projection", "cube", "--no-pictures", light=among,
+                               folder="cube"))
+        self.assertLess(min(r["errors"]["image"]["mean"] for r in self.results("cube")["runs"]), 0.02)
+        self.needs("embree")
+        done = self.good(self.compare("--method", "mtsm", "--method", "embree", light=among))
+        j = self.results()
+        self.assertEqual({r["method"] for r in j["runs"]}, {"embree"})
+        self.assertEqual({f["label"].split()[0] for f in j["failed"]}, {"mtsm"})
+        for failed in j["failed"]:
+            self.assertIn("inside the casters' bounds", failed["reason"])
+            self.assertIn(failed["label"], done.stdout)
+        # The reason once, not once a run; and from the cache no other tables.
+        self.assertEqual(done.stderr.count("warning: "), 1, done.stderr)
+        again = self.good(self.compare("--method", "mtsm", "--method", "embree", light=among))
+        self.assertEqual(done.stdout, again.stdout)
+
+    def test_a_light_inside_an_object_leaves_all_in_the_dark(self):
+        corners = [(x, y, z) for x in (-1, 1) for y in (0, 2) for z in (-1, 1)]
+        faces = ("1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4")
+        pathlib.Path("box.obj").write_text("".join("v %g %g %g\n" % c for c in corners) +
+                                           "".join(f"f {f}\n" for f in faces))
+        inside = ["--light-radius", "0.1", "--light-position", "0,1,0"]
+        done = self.good(self.compare("--method", "mtsm", "--projection", "cube", inputs=["box.obj"],
+                                      light=inside))
+        self.assertRegex(done.stderr, r"warning: every point is dark under light 1 .* inside a caster")
+        self.assertEqual(set(read_exr("out/truth-1.exr")[2]["shadow"]), {1.0})
+
+    def test_folders_that_cannot_be_written(self):
+        self.fails(self.compare(folder="table.obj"), 3, "table.obj: cannot make this folder")
+        self.fails(self.compare(folder="table.obj/out"), 3, "table.obj/out")
+        self.fails(self.compare("--cache", "table.obj"), 3, "table.obj")
+        self.assertEqual(pathlib.Path("table.obj").read_text(), TABLE)
+        os.mkdir("closed")
+        os.chmod("closed", 0o555)
+        if os.getuid() == 0:
+            try:
+                subprocess.run([TOOLS["compare"], "--version"], preexec_fn=as_nobody, check=True,
+                               capture_output=True)
+            except (OSError, subprocess.SubprocessError):
+                self.skipTest("the tools cannot be run as another user here")
+        other = as_nobody if os.getuid() == 0 else None
+        self.fails(self.compare("--no-cache", folder="closed", before=other), 3,
+                   "closed: cannot write into this folder")
+        self.assertEqual(os.listdir("closed"), [])
+
+    def test_position_passes(self):
+        zero, nan = [0.0] * 6, [math.nan] * 6
+        small = ["--method", "mtsm", "--truth", 16]
+        write_exr("P.exr", 3, 2, {"P.X": nan, "P.Y": nan, "P.Z": nan})
+        self.fails(self.compare(*small, "--position-pass", "P.exr"), 4, "P.exr", "surface")
+        write_exr("P.exr", 3, 2, {"P.X": zero, "P.Y": zero, "P.Z": zero, "A": zero})
+        self.fails(self.compare(*small, "--position-pass", "P.exr"), 4, "P.exr", "surface")
+        self.fails(self.compare(*small, "--position-pass", "none.exr"), 3, "none.exr")
+        self.fails(self.compare(*small, "--position-pass", "table.obj"), 4, "table.obj")
+        write_exr("P.exr", 3, 2, {"P.X": zero, "P.Y": zero, "P.Z": [0, 0, 9, 9, math.nan, 0]})
+        write_exr("N.exr", 2, 2, {"N.X": [0] * 4, "N.Y": [1] * 4, "N.Z": [0] * 4})
+        self.fails(self.compare(*small, "--position-pass", "P.exr", "--normal-pass", "N.exr"), 2, "N.exr")
+        self.fails(self.compare(*small, "--position-pass", "P.exr", "--points", 4), 2, "--points",
+                   "one point a pixel")
+        self.nothing_came_out()
+        self.good(self.compare(*small, "--position-pass", "P.exr"))
+        scene = self.results()["scene"]
+        self.assertEqual((scene["image"], scene["pixels"], scene["objectPixels"]), ([3, 2], 5, 5))
+        shadow = read_exr("out/truth-1.exr")[2]["shadow"]
+        self.assertTrue(math.isnan(shadow[4]))
+        self.assertEqual(shadow[2:4], [0.0, 0.0])  # far from the table
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 4:
+        sys.exit(__doc__)
+    for key, path in zip(("compare", "bake", "query"), sys.argv[1:4]):
+        TOOLS[key] = os.path.abspath(path)
+    TOOLS["methods"] = re.findall(r"(?m)^([\w-]+): ", run("compare", "--list-methods").stdout)
+    unittest.main(argv=[sys.argv[0], *sys.argv[4:]])
