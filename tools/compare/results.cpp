@@ -152,8 +152,9 @@ Json sceneJson(const CompareScene& scene, const Session& session,
             {"voxels", scene.counts().voxels},
             {"image", {picture.width, picture.height}},
             {"pointsPerPixel", options.pointsPerPixel},
-            {"points", picture.points.size()},
-            {"pixels", picture.pixels()},
+            {"points", scene.allPoints()},
+            {"pixels", scene.allPixels()},
+            {"comparedPixels", picture.pixels()},
             {"objectPixels", std::count(picture.object.begin(), picture.object.end(), 1)},
             {"measuredPixels", session.measuredPixels()}};
 }

@@ -21,8 +21,7 @@ using baseline::Picture;
 using Clock = std::chrono::steady_clock;
 using Json = nlohmann::ordered_json;
 
-constexpr std::size_t kRun = 64;            // neighbouring pixels of the sample
-constexpr std::size_t kTruthPoints = 4096;  // at a time, for progress
+constexpr std::size_t kTruthPoints = 4096;                  // at a time, for progress
 constexpr std::size_t kTruthPixels = std::size_t(1) << 15;  // in a file of the cache
 constexpr double kShortest = 0.02;  // s: what takes less is done several times
 constexpr double kLong = 10.0;      // s: what takes more is done fewer times
@@ -60,7 +59,7 @@ Session::Session(CompareScene& scene, const std::vector<PlannedRun>& plan,
                  const SessionOptions& options, Talk& talk)
     : scene_(scene), plan_(plan), options_(options), talk_(talk) {
     const Picture& picture = scene_.picture();
-    sample_ = picture.part(picture.spread(options_.measuredPixels, kRun));
+    sample_ = picture.part(picture.spread(options_.measuredPixels, Picture::kRun));
     lights_.resize(scene_.lights().size());
 }
 
@@ -276,7 +275,7 @@ void Session::timeRounds(std::size_t light, const std::vector<RunResult*>& group
     }
     for (Clocked& c : clocks) {
         const double scale =
-            double(whole.points.size()) / double(c.picture->points.size());
+            double(scene_.allPoints()) / double(c.picture->points.size());
         for (auto& seconds : c.seconds)
             for (double& s : seconds)
                 s *= scale;
