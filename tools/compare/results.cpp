@@ -75,7 +75,7 @@ Costs costsOf(const RunResult& r, const PlannedRun& run, ErrorKind error) {
         costs.query.samples = run.settings.number("samples");
     }
     costs.firstFrame = costs.query;
-    costs.firstFrame.seconds += r.build.one->median;
+    costs.firstFrame.seconds += (r.build.one ? r.build.one : r.build.all)->median;
     return costs;
 }
 
@@ -325,7 +325,13 @@ std::string resultsCsv(const Json& results) {
 std::string resultsText(const Json& results) {
     std::ostringstream out;
     out.imbue(std::locale::classic());
-    const auto seconds = [](const Json& t) { return t["median"].get<double>(); };
+    const auto seconds = [](const Json& t) {
+        std::ostringstream text;
+        text.imbue(std::locale::classic());
+        if (t.is_null()) return std::string("-");
+        text << std::fixed << std::setprecision(3) << t["median"].get<double>();
+        return text.str();
+    };
     for (std::size_t l = 0; l < results["lights"].size(); ++l) {
         const Json& light = results["lights"][l];
         out << (l ? "\n" : "") << "light " << l + 1 << ": "
