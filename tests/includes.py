@@ -25,7 +25,7 @@ MAY_INCLUDE = {
 # Third-party headers that a module may use, by the start of their path.
 HEAVY = {
     "assimp": {"scene"},
-    "openvdb": {"scene"},
+    "openvdb": {"baseline", "scene"},
     "OpenImageIO": {"scene"},
     "Imf": {"io"},
     "OpenEXR": {"io"},

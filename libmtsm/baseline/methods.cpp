@@ -8,6 +8,8 @@ namespace mtsm::baseline {
 const std::vector<MethodInfo>& methods() {
     static const std::vector<MethodInfo> all = {
         mtsmMethod(),
+        singleSampleMethod(),
+        sdfMethod(),
     };
     return all;
 }

@@ -14,6 +14,8 @@ namespace mtsm::baseline {
 [[nodiscard]] Result<const MethodInfo*> findMethod(const std::string& name);
 
 // One function per row, beside its implementation.
-[[nodiscard]] MethodInfo mtsmMethod();  ///< mtsm_method.cpp
+[[nodiscard]] MethodInfo mtsmMethod();          ///< mtsm_method.cpp
+[[nodiscard]] MethodInfo singleSampleMethod();  ///< single_sample.cpp
+[[nodiscard]] MethodInfo sdfMethod();           ///< sdf_march.cpp
 
 }  // namespace mtsm::baseline
