@@ -15,6 +15,7 @@ namespace mtsm::baseline {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kNearest = 1e-9;  // on a ray, of the casters' diagonal
 
 double cross(glm::dvec2 a, glm::dvec2 b) {
     return a.x * b.y - a.y * b.x;
@@ -85,19 +86,22 @@ struct Polygon {
     }
 };
 
-/// The point of a segment that is nearest to the origin.
-glm::dvec2 nearestOn(glm::dvec2 a, glm::dvec2 b) {
-    const glm::dvec2 ab = b - a;
-    const double length = glm::dot(ab, ab);
-    const double u = length > 0.0 ? std::clamp(-glm::dot(a, ab) / length, 0.0, 1.0) : 0.0;
-    return a + u * ab;
-}
-
 /// How the ray passes a triangle.
 struct Passing {
     double slope = kInfinity;  // tan phi; 0: it hits
     glm::dvec2 nearest{0.0};   // of the triangle's image at distance 1
 };
+
+/// How the ray passes a side. Of what begins close to the receiver one end is very far
+/// off, so the distance of a line is not taken from a point on it.
+Passing passSide(glm::dvec2 a, glm::dvec2 b) {
+    const glm::dvec2 ab = b - a;
+    const double squared = glm::dot(ab, ab);
+    const double u = squared > 0.0 ? -glm::dot(a, ab) / squared : 0.0;
+    if (u <= 0.0) return {glm::length(a), a};
+    if (u >= 1.0) return {glm::length(b), b};
+    return {std::abs(cross(a, b)) / std::sqrt(squared), a + u * ab};
+}
 
 Passing pass(const CentreRay& ray, const light::Frame& frame,
              const std::array<glm::dvec3, 3>& corners) {
@@ -117,9 +121,8 @@ Passing pass(const CentreRay& ray, const light::Frame& frame,
         const glm::dvec4& q = polygon.corners[i < polygon.count ? i : 0];
         const glm::dvec2 image = glm::dvec2(q) / q.z;
         if (i > 0) {
-            const glm::dvec2 nearest = nearestOn(before, image);
-            const double slope = glm::length(nearest);
-            if (slope < passing.slope) passing = {slope, nearest};
+            const Passing side = passSide(before, image);
+            if (side.slope < passing.slope) passing = side;
         }
         before = image;
     }
@@ -388,7 +391,7 @@ std::optional<CentreRay> SingleSampleScene::centreRay(
     ray.normal = normal;
     ray.origin =
         point + offset * (normal != glm::dvec3(0.0) ? normal : towards / way) - origin_;
-    ray.nearest = std::max(1e-3 * offset, std::numeric_limits<double>::min());
+    ray.nearest = kNearest * glm::length(high_ - low_);
     // Where the casters end along the ray.
     const glm::dvec3 lit = sampler.shape() == LightShape::sun
                                ? towards

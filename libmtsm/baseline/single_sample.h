@@ -68,7 +68,8 @@ struct CentreRay {
     double reach = std::numeric_limits<double>::infinity();
     double growth = 0.0;     ///< k = D / A >= 0: the penumbra's width per unit of way
     double nearest = 1e-12;  ///< > 0: what is nearer on the ray does not count
-    /// Unit or zero: what lies below this plane through the origin does not count.
+    /// Unit or zero: what lies below this plane through the origin does not count. The
+    /// ray leaves upwards.
     glm::dvec3 normal{0.0};
 };
 
