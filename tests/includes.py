@@ -27,7 +27,7 @@ COMPARES = ("tools/compare/", "tools/mtsm-compare.cpp", "tools/mtsm-radiance.cpp
 # Third-party headers that a module may use, by the start of their path.
 HEAVY = {
     "assimp": {"scene"},
-    "openvdb": {"scene"},
+    "openvdb": {"baseline", "scene"},
     "OpenImageIO": {"scene"},
     "Imf": {"io"},
     "OpenEXR": {"io"},

@@ -9,6 +9,9 @@ const std::vector<MethodInfo>& methods() {
     static const std::vector<MethodInfo> all = {
         mtsmMethod(), slsmMethod(),    mlsmMethod(),        mvsmMethod(),
         pcfMethod(),  deepPcfMethod(), accumulatedMethod(),
+        mtsmMethod(),
+        singleSampleMethod(),
+        sdfMethod(),
     };
     return all;
 }

@@ -21,5 +21,8 @@ namespace mtsm::baseline {
 [[nodiscard]] MethodInfo pcfMethod();          ///< pcf_method.cpp
 [[nodiscard]] MethodInfo deepPcfMethod();      ///< pcf_method.cpp
 [[nodiscard]] MethodInfo accumulatedMethod();  ///< accumulated_method.cpp
+[[nodiscard]] MethodInfo mtsmMethod();          ///< mtsm_method.cpp
+[[nodiscard]] MethodInfo singleSampleMethod();  ///< single_sample.cpp
+[[nodiscard]] MethodInfo sdfMethod();           ///< sdf_march.cpp
 
 }  // namespace mtsm::baseline
