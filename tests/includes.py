@@ -2,7 +2,8 @@
 """Checks who includes whom: `includes.py SOURCE_DIR` lists what strays and fails if anything does.
 
 The table is the architecture: a module may include the modules listed for it, its own files and
-the public headers in mtsm/. Tools and samples include public headers only.
+the public headers in mtsm/. Tools and samples include public headers only, but for the tools that
+put methods of the baseline to work.
 """
 import pathlib
 import re
@@ -38,6 +39,8 @@ HEAVY = {
     "nlohmann": set(),
     "toml++": set(),
 }
+# Tools that may include the baseline's headers.
+BASELINE_TOOLS = {"mtsm-compare.cpp", "mtsm-radiance.cpp"}
 
 
 def includes(path):
@@ -76,6 +79,8 @@ def main():
             if path.suffix not in (".h", ".cpp"):
                 continue
             for number, name in includes(path):
+                if name.startswith("baseline/") and folder == "tools" and path.name in BASELINE_TOOLS:
+                    continue
                 if "/" in name and name.split("/")[0] in MAY_INCLUDE:
                     strays.append(f"{path}:{number}: {folder} includes public headers only, not {name}")
     for path in sorted((root / "libmtsm/include/mtsm").glob("*.h")):

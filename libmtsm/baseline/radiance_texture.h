@@ -65,6 +65,10 @@ struct RadianceReceiver {
 [[nodiscard]] Result<RadianceReceiver> polygonReceiver(
     const std::vector<glm::dvec3>& corners);
 
+/// The flat faces of a mesh, in the world: coplanar triangles that share edges become one
+/// parallelogram or polygon, all others stay triangles. Those of no area are left out.
+[[nodiscard]] std::vector<RadianceReceiver> meshReceivers(const MeshView& mesh);
+
 struct RadianceLight {
     AreaLight light;
     glm::dvec3 radiance{1.0};  ///< red, green, blue; see lightMeasure() for no area

