@@ -389,6 +389,9 @@ RadianceLight lightOf(const LightArguments& given, const Box& casters) {
             "--light-direction is missing: a sun needs the way that its light travels, "
             "such as --light-direction -1,-3,-1");
     if (sun || given.options.direction) return result;
+    if (!given.options.target && !(casters.low.x <= casters.high.x))
+        throw UsageError(
+            "--light-target is missing: nothing casts that the light could look at");
     const glm::dvec3 centre = 0.5 * (casters.low + casters.high);
     const glm::dvec3 way = given.options.target.value_or(centre) - light.position;
     if (!(glm::length(way) > 0.0))
