@@ -12,6 +12,7 @@ const std::vector<MethodInfo>& methods() {
         mtsmMethod(),
         singleSampleMethod(),
         sdfMethod(),
+        radianceMethod(),
     };
     return all;
 }

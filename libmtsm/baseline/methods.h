@@ -24,5 +24,7 @@ namespace mtsm::baseline {
 [[nodiscard]] MethodInfo mtsmMethod();          ///< mtsm_method.cpp
 [[nodiscard]] MethodInfo singleSampleMethod();  ///< single_sample.cpp
 [[nodiscard]] MethodInfo sdfMethod();           ///< sdf_march.cpp
+[[nodiscard]] MethodInfo mtsmMethod();      ///< mtsm_method.cpp
+[[nodiscard]] MethodInfo radianceMethod();  ///< radiance_method.cpp
 
 }  // namespace mtsm::baseline
