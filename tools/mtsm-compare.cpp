@@ -151,6 +151,10 @@ void addCameraOptions(CLI::App& app, Arguments& a) {
     addWhole(app, "--points", c.points, 1, 1024,
              "shaded points per pixel: 1, 4, 9, 16, ... (default: 1)")
         ->group(group);
+    addWhole(app, "--pixels", c.pixels, 0, 1 << 30,
+             "compare so many pixels alone, in runs of 64 neighbours\n"
+             "spread over the picture; 0: all (default)")
+        ->group(group);
     addText(app, "--position-pass", c.positionPass, "P.exr",
             "shade the points of a position pass, no camera")
         ->group(group);
@@ -219,6 +223,23 @@ struct Input {
     std::string line;  ///< what stands for the casters on mtsm-bake's command line
 };
 
+/// What of the command line goes to mtsm-bake's: casters, light and view, but for the
+/// light's size, which is compared.
+std::string bakeLine(const Arguments& a, const CLI::App& app) {
+    std::string line;
+    for (const std::string& path : a.inputs)
+        line += (line.empty() ? "" : " ") + quotedForShell(path);
+    for (const CLI::Option* option : app.get_options()) {
+        const std::string name = option->get_name(), group = option->get_group();
+        if (option->count() == 0 || (group != "Light" && group != "View")) continue;
+        if (name == "--light-scales" || name == "--light-radius" ||
+            name == "--light-size" || name == "--light-angle")
+            continue;
+        line += " " + name + " " + quotedForShell(option->results().back());
+    }
+    return line;
+}
+
 Input readInput(const Arguments& a, CLI::App& app) {
     Input input;
     const auto isJob = [](const std::string& path) { return extension(path) == ".toml"; };
@@ -226,8 +247,7 @@ Input readInput(const Arguments& a, CLI::App& app) {
         throw UsageError(
             "INPUT: is missing: give a scene file (.toml) or casters, such as "
             "dragon.ply");
-    for (const std::string& path : a.inputs)
-        input.line += (input.line.empty() ? "" : " ") + path;
+    input.line = bakeLine(a, app);
     if (std::any_of(a.inputs.begin(), a.inputs.end(), isJob)) {
         if (a.inputs.size() > 1)
             throw UsageError("INPUT: a scene file lists all casters; give it alone");

@@ -7,7 +7,16 @@ namespace mtsm::baseline {
 
 const std::vector<MethodInfo>& methods() {
     static const std::vector<MethodInfo> all = {
-        mtsmMethod(),
+        mtsmMethod(),          //
+        slsmMethod(),          //
+        mlsmMethod(),          //
+        mvsmMethod(),          //
+        pcfMethod(),           //
+        deepPcfMethod(),       //
+        accumulatedMethod(),   //
+        radianceMethod(),      //
+        singleSampleMethod(),  //
+        sdfMethod(),           //
     };
     return all;
 }

@@ -14,6 +14,15 @@ namespace mtsm::baseline {
 [[nodiscard]] Result<const MethodInfo*> findMethod(const std::string& name);
 
 // One function per row, beside its implementation.
-[[nodiscard]] MethodInfo mtsmMethod();  ///< mtsm_method.cpp
+[[nodiscard]] MethodInfo mtsmMethod();          ///< mtsm_method.cpp
+[[nodiscard]] MethodInfo slsmMethod();          ///< opaque_map_methods.cpp
+[[nodiscard]] MethodInfo mlsmMethod();          ///< opaque_map_methods.cpp
+[[nodiscard]] MethodInfo mvsmMethod();          ///< mvsm_method.cpp
+[[nodiscard]] MethodInfo pcfMethod();           ///< pcf_method.cpp
+[[nodiscard]] MethodInfo deepPcfMethod();       ///< pcf_method.cpp
+[[nodiscard]] MethodInfo accumulatedMethod();   ///< accumulated_method.cpp
+[[nodiscard]] MethodInfo singleSampleMethod();  ///< single_sample.cpp
+[[nodiscard]] MethodInfo sdfMethod();           ///< sdf_march.cpp
+[[nodiscard]] MethodInfo radianceMethod();      ///< radiance_method.cpp
 
 }  // namespace mtsm::baseline

@@ -41,6 +41,9 @@ Status checkCamera(const Camera& camera);
 /// Pixels that see something, in an order in which neighbours follow each other (a
 /// Z-order curve), and their points.
 struct Picture {
+    /// Pixels that follow each other in samples of a picture: 8 x 8 of them.
+    static constexpr std::size_t kRun = 64;
+
     std::uint32_t width = 0, height = 0;
     std::vector<glm::dvec3> points, normals, starts;  ///< as Receivers has them
     std::vector<std::size_t> first{0};                ///< [pixels + 1]

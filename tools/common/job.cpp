@@ -119,6 +119,7 @@ constexpr Key kKeys[] = {
     {"camera", "fov", Form::number, "camera-"},
     {"camera", "image", Form::resolution},
     {"camera", "points", Form::whole},
+    {"camera", "pixels", Form::whole},
     {"camera", "position-pass", Form::path},
     {"camera", "normal-pass", Form::path},
 

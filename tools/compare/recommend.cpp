@@ -52,19 +52,8 @@ std::string line(const Candidate& c) {
            bytesText((*c.run)["build"]["memoryBytes"].get<std::uint64_t>());
 }
 
-std::string quoted(const std::string& text) {
-    if (text.find_first_not_of("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
-                               "0123456789._/-+,=") == std::string::npos)
-        return text;
-    std::string all = "'";
-    for (const char c : text)
-        all += c == '\'' ? std::string("'\\''") : std::string(1, c);
-    return all + "'";
-}
-
-/// The options of mtsm-bake that make a light of the scene as large as it was compared.
+/// The options of mtsm-bake that make the light as large as it was compared.
 std::string lightSize(const Json& light) {
-    if (light["scale"].get<double>() == 1.0) return "";
     const std::string shape = light["shape"];
     const Json& l = light["light"];
     if (shape == "disk" || shape == "sphere")
@@ -86,11 +75,12 @@ std::string mapLines(const Json& run, const Json& light, const std::string& inpu
     bake += " --tolerance " + numberText(s["tolerance"]);
     if (s["subsamples"] > 1.0) bake += " --subsamples " + numberText(s["subsamples"]);
     if (s["bias"] >= 0.0) bake += " --bias " + numberText(s["bias"]);
-    std::string query = "  mtsm-query key.mtsm --position " +
-                        quoted(positionPass.empty() ? "shot.P.exr" : positionPass);
+    std::string query =
+        "  mtsm-query key.mtsm --position " +
+        quotedForShell(positionPass.empty() ? "shot.P.exr" : positionPass);
     if (positionPass.empty() || !normalPass.empty())
-        query +=
-            " --normal-pass " + quoted(normalPass.empty() ? "shot.N.exr" : normalPass);
+        query += " --normal-pass " +
+                 quotedForShell(normalPass.empty() ? "shot.N.exr" : normalPass);
     query += " --samples " + numberText(s["samples"]);
     if (s["query-bias"] >= 0.0) query += " --bias " + numberText(s["query-bias"]);
     if (s["lookup"] == "pcf") query += " --method pcf";
@@ -99,6 +89,16 @@ std::string mapLines(const Json& run, const Json& light, const std::string& inpu
 }
 
 }  // namespace
+
+std::string quotedForShell(const std::string& text) {
+    if (text.find_first_not_of("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
+                               "0123456789._/-+,=") == std::string::npos)
+        return text;
+    std::string all = "'";
+    for (const char c : text)
+        all += c == '\'' ? std::string("'\\''") : std::string(1, c);
+    return all + "'";
+}
 
 Wish parseWish(const std::string& text) {
     const auto wrong = [&] {

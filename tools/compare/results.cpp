@@ -75,7 +75,7 @@ Costs costsOf(const RunResult& r, const PlannedRun& run, ErrorKind error) {
         costs.query.samples = run.settings.number("samples");
     }
     costs.firstFrame = costs.query;
-    costs.firstFrame.seconds += r.build.one->median;
+    costs.firstFrame.seconds += (r.build.one ? r.build.one : r.build.all)->median;
     return costs;
 }
 
@@ -152,8 +152,9 @@ Json sceneJson(const CompareScene& scene, const Session& session,
             {"voxels", scene.counts().voxels},
             {"image", {picture.width, picture.height}},
             {"pointsPerPixel", options.pointsPerPixel},
-            {"points", picture.points.size()},
-            {"pixels", picture.pixels()},
+            {"points", scene.allPoints()},
+            {"pixels", scene.allPixels()},
+            {"comparedPixels", picture.pixels()},
             {"objectPixels", std::count(picture.object.begin(), picture.object.end(), 1)},
             {"measuredPixels", session.measuredPixels()}};
 }
@@ -324,7 +325,13 @@ std::string resultsCsv(const Json& results) {
 std::string resultsText(const Json& results) {
     std::ostringstream out;
     out.imbue(std::locale::classic());
-    const auto seconds = [](const Json& t) { return t["median"].get<double>(); };
+    const auto seconds = [](const Json& t) {
+        std::ostringstream text;
+        text.imbue(std::locale::classic());
+        if (t.is_null()) return std::string("-");
+        text << std::fixed << std::setprecision(3) << t["median"].get<double>();
+        return text.str();
+    };
     for (std::size_t l = 0; l < results["lights"].size(); ++l) {
         const Json& light = results["lights"][l];
         out << (l ? "\n" : "") << "light " << l + 1 << ": "

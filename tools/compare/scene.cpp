@@ -126,6 +126,11 @@ CompareScene::CompareScene(const std::vector<CasterFile>& casters,
     readCasters(talk);
     placeReceivers(receivers, talk);
     takePicture(camera, talk);
+    allPixels_ = picture_.pixels();
+    allPoints_ = picture_.points.size();
+    if (camera.pixels > 0)
+        picture_ = picture_.part(
+            picture_.spread(std::size_t(camera.pixels), baseline::Picture::kRun));
     content_ = baseline::combined(unwrap(baseline::contentOf(*casters_)),
                                   baseline::contentOf(picture_.receivers()));
 }

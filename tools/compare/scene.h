@@ -22,6 +22,7 @@ struct CameraOptions {
     std::optional<double> fovDegrees;
     std::string image = "600x300";
     std::int64_t points = 1;  ///< per pixel: 1, 4, 9, 16, ...
+    std::int64_t pixels = 0;  ///< that are compared, spread over the picture; 0: all
     std::string positionPass, normalPass;
 };
 
@@ -44,7 +45,11 @@ class CompareScene {
                  const PlacementOptions& placement, const CameraOptions& camera,
                  const std::vector<double>& lightScales, Talk& talk);
 
+    /// The pixels that are compared.
     [[nodiscard]] const baseline::Picture& picture() const { return picture_; }
+    /// Of the whole picture: those that see something.
+    [[nodiscard]] std::size_t allPixels() const { return allPixels_; }
+    [[nodiscard]] std::size_t allPoints() const { return allPoints_; }
     [[nodiscard]] const std::vector<ComparedLight>& lights() const { return lights_; }
     [[nodiscard]] const SceneCounts& counts() const { return counts_; }
     /// Of all that the truth depends on but its light and its number of samples.
@@ -69,6 +74,7 @@ class CompareScene {
     std::unique_ptr<baseline::EmbreeReference> reference_, receivers_;
     std::vector<baseline::PlanarReceiver> planes_;
     baseline::Picture picture_;
+    std::size_t allPixels_ = 0, allPoints_ = 0;
     SceneCounts counts_;
     std::uint64_t content_ = 0;
 };

@@ -21,8 +21,7 @@ using baseline::Picture;
 using Clock = std::chrono::steady_clock;
 using Json = nlohmann::ordered_json;
 
-constexpr std::size_t kRun = 64;            // neighbouring pixels of the sample
-constexpr std::size_t kTruthPoints = 4096;  // at a time, for progress
+constexpr std::size_t kTruthPoints = 4096;                  // at a time, for progress
 constexpr std::size_t kTruthPixels = std::size_t(1) << 15;  // in a file of the cache
 constexpr double kShortest = 0.02;  // s: what takes less is done several times
 constexpr double kLong = 10.0;      // s: what takes more is done fewer times
@@ -60,7 +59,7 @@ Session::Session(CompareScene& scene, const std::vector<PlannedRun>& plan,
                  const SessionOptions& options, Talk& talk)
     : scene_(scene), plan_(plan), options_(options), talk_(talk) {
     const Picture& picture = scene_.picture();
-    sample_ = picture.part(picture.spread(options_.measuredPixels, kRun));
+    sample_ = picture.part(picture.spread(options_.measuredPixels, Picture::kRun));
     lights_.resize(scene_.lights().size());
 }
 
@@ -177,17 +176,16 @@ Session::Built& Session::built(std::size_t light, const PlannedRun& run) {
             made.failure = method.error().message;
         return seconds;
     };
-    // Once with one thread and up to three times with all.
-    const double alone = build(1);
-    if (!made.failure.empty()) return made;
-    made.seconds.one = timingOf({alone});
+    // Up to three times with all threads, and once with one unless that is too long.
     std::vector<double> seconds;
     double total = 0.0;
     do {
         seconds.push_back(build(options_.threads));
         total += seconds.back();
     } while (made.failure.empty() && seconds.size() < 3 && total < kLong);
+    if (!made.failure.empty()) return made;
     made.seconds.all = timingOf(seconds);
+    if (made.seconds.all->median < 3 * kLong) made.seconds.one = timingOf({build(1)});
     return made;
 }
 
@@ -276,7 +274,7 @@ void Session::timeRounds(std::size_t light, const std::vector<RunResult*>& group
     }
     for (Clocked& c : clocks) {
         const double scale =
-            double(whole.points.size()) / double(c.picture->points.size());
+            double(scene_.allPoints()) / double(c.picture->points.size());
         for (auto& seconds : c.seconds)
             for (double& s : seconds)
                 s *= scale;

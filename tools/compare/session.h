@@ -36,7 +36,7 @@ struct Timing {
     int repeats = 0;
 };
 
-/// With one thread and with all of them.
+/// With one thread (nothing: that would have taken too long) and with all of them.
 struct Timings {
     std::optional<Timing> one, all;
 };

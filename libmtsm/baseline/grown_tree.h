@@ -1,0 +1,154 @@
+// grown_tree.h - a tree of boxes for shadow rays that have a width: what a ray comes near
+// is found beside what it hits.
+//
+//     GrownTree tree(boxes);                       // put your items in tree.order()
+//     tree.search(ray, [&](std::size_t begin, std::size_t end) { ...; return true; });
+//
+// A single-sample soft shadow asks for all objects whose grown outline the ray meets, and
+// they grow with their distance from the receiver [Parker98, appendix]. Growing the boxes
+// when the tree is built would need the largest growth of the largest light, everywhere.
+// Here boxes stay as they are and the ray grows: it is a cone, thin at the receiver. A
+// cone against a box costs what a ray against a box costs: slabs with one slope for the
+// lower planes and another one for the upper planes. So one tree serves every light.
+//
+// Four children to a node, split by the surface area heuristic in bins.
+#pragma once
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <glm/vec3.hpp>
+#include <limits>
+#include <vector>
+
+namespace mtsm::baseline {
+
+struct Box {
+    glm::vec3 low{std::numeric_limits<float>::infinity()};
+    glm::vec3 high{-std::numeric_limits<float>::infinity()};
+
+    void add(glm::vec3 p) noexcept {
+        low = glm::vec3(std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z));
+        high = glm::vec3(std::max(high.x, p.x), std::max(high.y, p.y),
+                         std::max(high.z, p.z));
+    }
+    void add(const Box& box) noexcept {
+        add(box.low);
+        add(box.high);
+    }
+};
+
+/// From `origin` along the unit vector `direction` as far as `reach`, together with all
+/// points that are not further than margin + t * growth from its point t.
+class WideRay {
+  public:
+    /// `size`: the largest coordinate of all boxes, for what rounding takes.
+    WideRay(glm::dvec3 origin, glm::dvec3 direction, double reach, double growth,
+            double margin, float size) noexcept;
+
+    /// The same ray with less growth.
+    void narrow(double growth) noexcept;
+
+  private:
+    friend class GrownTree;
+    /// How an axis bounds t: t >= (near plane - nearOrigin) * nearScale, and the same
+    /// with <= for the far plane; an axis that the cone opens around has lower bounds
+    /// only.
+    struct Axis {
+        float nearOrigin = 0, nearScale = 0, farOrigin = 0, farScale = 0;
+        bool backwards = false;  // the near plane is the upper one
+        bool open = false;
+    };
+    std::array<Axis, 3> axes_;
+    glm::dvec3 origin_, direction_;
+    float reach_;
+    double margin_;
+};
+
+class GrownTree {
+  public:
+    GrownTree() = default;
+    /// Boxes must be finite.
+    explicit GrownTree(const std::vector<Box>& boxes);
+
+    /// [boxes]: the box that comes first, second and so on in the order of search().
+    [[nodiscard]] const std::vector<std::uint32_t>& order() const noexcept {
+        return order_;
+    }
+    void forgetOrder() { order_ = {}; }
+    [[nodiscard]] std::uint64_t memoryBytes() const noexcept {
+        return nodes_.size() * sizeof(Node) + order_.size() * sizeof(std::uint32_t);
+    }
+
+    /// Calls visit(begin, end) with ranges of places in order() that together hold every
+    /// box that the ray comes near; on false it stops. `visit` may narrow the ray.
+    /// Returns the number of nodes it went through.
+    template <typename Visit>
+    std::size_t search(const WideRay& ray, const Visit& visit) const {
+        if (nodes_.empty()) return 0;
+        std::array<std::uint32_t, kStack> stack;
+        std::size_t waiting = 0, nodes = 0;
+        stack[waiting++] = 0;
+        while (waiting > 0) {
+            const Node& node = nodes_[stack[--waiting]];
+            ++nodes;
+            std::array<bool, kWidth> met;
+            meet(node, ray, met);
+            for (std::size_t c = 0; c < kWidth; ++c) {
+                if (!met[c]) continue;
+                if (node.count[c] == 0)
+                    stack[waiting++] = node.child[c];
+                else if (!visit(node.child[c], node.child[c] + node.count[c]))
+                    return nodes;
+            }
+        }
+        return nodes;
+    }
+
+  private:
+    static constexpr std::size_t kWidth = 4;    // children of a node
+    static constexpr std::uint32_t kLeaf = 4;   // most boxes in a leaf
+    static constexpr int kDepth = 40;           // from here on halves, by number
+    static constexpr std::size_t kStack = 256;  // > 3 * (kDepth + 32)
+    struct Node {
+        float plane[2][3][kWidth];      // low, high
+        std::uint32_t child[kWidth];    // a node, or the first box of a leaf
+        std::uint32_t count[kWidth]{};  // of a leaf
+    };
+    struct Range;
+    struct Builder;
+
+    static void meet(const Node& node, const WideRay& ray,
+                     std::array<bool, kWidth>& met) noexcept {
+        float from[kWidth], to[kWidth];
+        for (std::size_t c = 0; c < kWidth; ++c) {
+            from[c] = 0.0f;
+            to[c] = ray.reach_;
+        }
+        for (std::size_t a = 0; a < 3; ++a) {
+            const WideRay::Axis& axis = ray.axes_[a];
+            const float* near = node.plane[axis.backwards ? 1 : 0][a];
+            const float* far = node.plane[axis.backwards ? 0 : 1][a];
+            float bound[kWidth];
+            for (std::size_t c = 0; c < kWidth; ++c) {
+                const float t = (near[c] - axis.nearOrigin) * axis.nearScale;
+                from[c] = t > from[c] ? t : from[c];
+                bound[c] = (far[c] - axis.farOrigin) * axis.farScale;
+            }
+            if (axis.open) {
+                for (std::size_t c = 0; c < kWidth; ++c)
+                    from[c] = bound[c] > from[c] ? bound[c] : from[c];
+            } else {
+                for (std::size_t c = 0; c < kWidth; ++c)
+                    to[c] = bound[c] < to[c] ? bound[c] : to[c];
+            }
+        }
+        for (std::size_t c = 0; c < kWidth; ++c)
+            met[c] = from[c] <= to[c];
+    }
+
+    std::vector<Node> nodes_;
+    std::vector<std::uint32_t> order_;
+};
+
+}  // namespace mtsm::baseline
