@@ -156,7 +156,8 @@ void CompareScene::readCasters(Talk& talk) {
         if (glm::length(way) > 0.0) l.light.direction = glm::normalize(way);
     }
     bake_.light.direction = lights_.front().light.direction;
-    bake_.target = target;
+    // A light in the very middle has nothing to look at, which baking says.
+    if (target != bake_.light.position) bake_.target = target;
 }
 
 void CompareScene::placeReceivers(const std::vector<JobReceiver>& receivers, Talk& talk) {
