@@ -154,7 +154,8 @@ class CommandLine(Compare):
         for r in j["runs"]:
             self.assertIn(r["label"], done.stdout)
         # One row a run, and the same numbers.
-        rows = list(csv.DictReader(open("out/results.csv")))
+        with open("out/results.csv", newline="") as table:
+            rows = list(csv.DictReader(table))
         self.assertEqual([row["label"] for row in rows], [r["label"] for r in j["runs"]])
         for row, r in zip(rows, j["runs"]):
             self.assertEqual(float(row["query_one"]), r["query"]["one"]["median"])
@@ -583,7 +584,7 @@ class BadInput(Compare):
         text = pathlib.Path("shot.toml").read_text()
         pathlib.Path("shot.toml").write_text(text.replace("table.obj", "box.obj"))
         done = self.good(self.of_job("--projection", "cube", "--light-position", "0,1.2,0", "--light-radius", "0.1",
-                                     "--light-scales", "1"))
+                                     "--light-shape", "sphere", "--light-scales", "1"))
         self.assertRegex(done.stderr, r"warning: every point is dark under light 1 .* inside a caster")
         truth = read_exr("out/truth-1.exr")[2]["shadow"]
         self.assertEqual({t for t in truth if not math.isnan(t)}, {1.0})
