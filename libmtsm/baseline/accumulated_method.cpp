@@ -156,6 +156,7 @@ MethodInfo accumulatedMethod() {
     info.name = "accumulated";
     info.title = "accumulated hard shadow maps";
     info.source = "[Xie07, sec. 3], [Williams78]";
+    info.fixedCost = true;
     info.settings = {
         wholeSetting("resolution", 1024, 1, kMaxResolution, "pixels per side of each map",
                      SettingUse::build),

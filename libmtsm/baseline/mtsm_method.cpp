@@ -38,7 +38,7 @@ Result<std::unique_ptr<Method>> build(const MethodScene& scene,
     if (const int layers = settings.whole("layers"); layers > 0)
         options.layers = std::uint32_t(layers);
     options.tolerance = float(settings.number("tolerance"));
-    options.subsamples = std::uint32_t(std::stoul(settings.word("subsamples")));
+    options.subsamples = std::uint32_t(settings.whole("subsamples"));
     if (const double bias = settings.number("bias"); bias >= 0.0)
         options.bias = float(bias);
     auto baked = bake(scene.casters, options);
