@@ -74,6 +74,9 @@ class AccumulatedMethod final : public Method {
         if (Status fits = lightFits(light, options_.light); !fits) return fits;
         BakeOptions aimed = options_;
         aimed.light = light;
+        // Of lights that shine to all sides it says where the views look.
+        if (light.shape == LightShape::point || light.shape == LightShape::sphere)
+            aimed.light.direction = options_.light.direction;
         const light::LightSampler sampler(light);
         const std::uint32_t samples =
             sampler.isPoint() ? 1u : std::uint32_t(settings.whole("samples"));
@@ -156,6 +159,7 @@ MethodInfo accumulatedMethod() {
     info.name = "accumulated";
     info.title = "accumulated hard shadow maps";
     info.source = "[Xie07, sec. 3], [Williams78]";
+    info.fixedCost = true;
     info.settings = {
         wholeSetting("resolution", 1024, 1, kMaxResolution, "pixels per side of each map",
                      SettingUse::build),

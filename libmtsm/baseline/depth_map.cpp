@@ -16,10 +16,11 @@ constexpr float kThere = 0.5f - 0x1p-20f;
 /// Pixels per side of the map that is baked to see where it looks.
 constexpr std::uint32_t kAiming = 256;
 
-Result<bool> anyTexture(CasterSource& casters) {
+/// Are there textures that let something through?
+Result<bool> anyHoles(CasterSource& casters) {
     bool any = false;
     const Status read = casters.visit(meshesOnly([&](const MeshView& mesh) -> Status {
-        any = any || mesh.texture;
+        any = any || (mesh.texture && mesh.texture->translucent());
         return {};
     }));
     if (!read) return read.error();
@@ -86,20 +87,20 @@ Result<BakeOptions> aimedOptions(CasterSource& casters, const BakeOptions& optio
 
 Result<ShadowMap> bakeDepthMap(CasterSource& casters, BakeOptions options,
                                std::uint32_t layers) {
-    auto textured = anyTexture(casters);
-    if (!textured) return textured.error();
+    auto holes = anyHoles(casters);
+    if (!holes) return holes.error();
     options.tolerance = 0.0f;  // a layer for each sample
     options.resets = kAllResets;
     options.subsamples = 1;
     options.color = false;
     options.layers = layers;
-    if (*textured) options.layers = kMaxPixelLayers;
+    if (*holes) options.layers = kMaxPixelLayers;
     // Of one layer none is hidden by others.
     options.keepHidden = options.keepHidden || layers == 1;
     OpaqueCasters opaque(casters, eyeOf(options));
     auto baked = bake(opaque, options);
     if (!baked) return baked.error();
-    if (!*textured) return std::move(baked->map);
+    if (!*holes) return std::move(baked->map);
     return alphaTested(baked->map, layers);
 }
 

@@ -3,14 +3,17 @@
 // blocks it [Xie07, sec. 4.1].
 //
 // A ray is blocked if in any view it meets what is nearest there in its pixel (within the
-// z threshold, traced as rays through any map are). So what leaks are surfaces that no
-// view sees: those that in each of the views lie behind others. What the light's inner
-// points see between them, and no view does, is such a place.
+// z threshold, traced as rays through any map are). So a ray leaks if all that it crosses
+// lies, in each of the views, behind something else: surfaces that some inner point of
+// the light sees, past or between others, and no view does. And what is too dark in one
+// view, a receiver's own surface or the thickened rim of a strand, is too dark in all.
 //
 // Rays of a point start with the view that blocked the last one: most blocked rays then
 // need a single view [Agrawala00 has such coherence, too]. The answer is the same in any
 // order.
 #include <array>
+#include <cmath>
+#include <string>
 
 #include "base/parallel.h"
 #include "baseline/depth_map.h"

@@ -108,18 +108,22 @@ Result<Settings> Settings::complete(const std::vector<SettingInfo>& infos,
             std::vector<std::string> names;
             for (const SettingInfo& info : infos)
                 names.push_back(info.name);
-            const std::string meant = nearestName(name, names);
+            const std::string near = nearestName(name, names);
             return base::makeError(
                 ErrorCode::badArgument, "method ", method, " has no setting \"",
                 base::printable(name), "\"",
-                meant.empty() ? "; it has " : "; did you mean \"" + meant + "\"? It has ",
+                near.empty() ? "; it has " : "; did you mean \"" + near + "\"? It has ",
                 names.empty() ? "none" : joined(names));
         }
-        if (!fits(infos[at], value))
+        // A scene file may spell the word "5" without quotes.
+        const bool asWord = std::holds_alternative<std::string>(infos[at].fallback) &&
+                            std::holds_alternative<double>(value);
+        const SettingValue meant = asWord ? SettingValue(settingText(value)) : value;
+        if (!fits(infos[at], meant))
             return base::makeError(ErrorCode::badArgument, "method ", method, ", ", name,
                                    ": found ", base::printable(settingText(value)),
                                    ", expected ", expected(infos[at]));
-        settings.values_[at].second = value;
+        settings.values_[at].second = meant;
     }
     return settings;
 }

@@ -34,15 +34,17 @@ TEST_CASE("accumulated maps approach ray tracing on lights of every shape",
     const Mesh body = bumpyBody(2'000);
     BakeOptions options;
     options.light.position = {2, 5, 2.5};
-    options.light.direction = glm::normalize(-options.light.position);
     options.light.radius = 0.8;
     options.light.size = {1.2, 0.8};
     options.light.angularDiameter = 0.2;
-    options.aimed = true;
+    options.target = glm::dvec3(0.0);
     const Points floor = floorGrid(3, 16, -1.3);
     for (const LightShape shape :
          {LightShape::disk, LightShape::rect, LightShape::sphere, LightShape::sun}) {
         options.light.shape = shape;
+        options.light.direction = glm::normalize(-options.light.position);
+        // Where a sphere's views look is not its direction's to say.
+        if (shape == LightShape::sphere) options.light.direction = {1, 0, 0};
         const auto expected = truth({body.view()}, options.light, floor, 1024);
         const auto found = run("accumulated", {body.view()}, options,
                                {{"resolution", 128.0}, {"samples", 128.0}}, floor);
@@ -93,6 +95,33 @@ TEST_CASE("accumulated maps see strands and volumes as ray tracing does",
     const auto found = run("accumulated", {strand, smoke}, light,
                            {{"resolution", 128.0}, {"samples", 64.0}}, floor);
     CHECK(meanError(found, expected) < 0.01);
+}
+
+TEST_CASE("rows of depth maps look around a light among its casters",
+          "[baseline][statistical]") {
+    // A square above the light and one beside it, seen by six views; receivers behind
+    // both, all around the edges of the views.
+    Mesh above = Rect{-0.5, 0.9, -0.5, 0.5, 1}.mesh(), beside = above;
+    for (glm::vec3& p : beside.positions)
+        p = {p.y, -p.x, p.z};
+    BakeOptions options;
+    options.light.shape = LightShape::sphere;
+    options.light.radius = 0.2;
+    options.cube = true;
+    Points points;
+    for (int i = 0; i < 100; ++i) {
+        const double x = -3 + 0.06 * i;
+        points.add({x, 3, 0.4}, {0, -1, 0});
+        points.add({3, x, -0.3}, {-1, 0, 0});
+    }
+    const auto expected =
+        truth({above.view(), beside.view()}, options.light, points, 1024);
+    for (const char* row : {"mlsm", "mvsm", "pcf", "deep-pcf", "accumulated"}) {
+        const auto found = run(row, {above.view(), beside.view()}, options,
+                               {{"resolution", 128.0}, {"samples", 128.0}}, points);
+        INFO(row);
+        CHECK(meanError(found, expected) < 0.015);
+    }
 }
 
 TEST_CASE("rows of depth maps answer the same for any number of threads",

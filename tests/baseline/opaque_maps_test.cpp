@@ -1,4 +1,7 @@
 // Depth maps of one layer and of several, ray traced, and what they take casters for.
+#include <glm/geometric.hpp>
+
+#include "baseline/depth_map.h"
 #include "depth_rows.h"
 #include "mtsm/opacity_texture.h"
 
@@ -126,4 +129,31 @@ TEST_CASE("a depth map tests a texture's alpha", "[baseline]") {
     CHECK(hardShadow(view, {-1.5, 0, 0}) == 1.0f);
     CHECK(hardShadow(view, {0.1, 0, 0}) == 0.0f);
     CHECK(hardShadow(view, {1.5, 0, 0}) == 0.0f);
+}
+
+TEST_CASE("a depth map's light is aimed as the whole scene's map aims it", "[baseline]") {
+    // At the casters' centre, of those too that depth maps leave out.
+    const Mesh square = Rect{-0.5, 0.5, -0.5, 0.5, 0}.mesh();
+    const std::vector<glm::ivec3> blocks = {{0, 0, 0}};
+    const std::vector<float> density(std::size_t(VolumeView::kBlockVoxels), 1.0f);
+    VolumeView volume;
+    volume.blocks = blocks.data();
+    volume.blockCount = 1;
+    volume.density = density.data();
+    volume.worldFromIndex = glm::dmat4(0.1);
+    volume.worldFromIndex[3] = glm::dvec4(1, 0, 0, 1);
+    CasterViews casters({square.view(), volume});
+    BakeOptions options = rectLight(4, 1, 0.5);
+    options.aimed = false;
+    options.width = options.height = 64;
+    for (const bool target : {false, true}) {
+        if (target) options.target = glm::dvec3(0.3, 0, -0.2);
+        const auto baked = bake(casters, options);
+        const auto aimed = baseline::aimedOptions(casters, options);
+        REQUIRE(baked);
+        REQUIRE(aimed);
+        CHECK(lightFits(baked->map.info().light, aimed->light));
+        CHECK(glm::length(baked->map.info().light.direction - aimed->light.direction) <
+              1e-12);
+    }
 }

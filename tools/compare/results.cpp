@@ -91,7 +91,7 @@ Rival runsOf(const std::string& method, std::size_t light,
     for (const RunResult& r : session.results()) {
         const PlannedRun& run = plan[r.run];
         if (r.light != light || run.method->name != method || !r.failure.empty() ||
-            r.unanswered > 0 || r.errors[std::size_t(error)].count == 0)
+            r.unanswered > 0 || !r.query.one || r.errors[std::size_t(error)].count == 0)
             continue;
         const Costs costs = costsOf(r, run, error);
         rival.query.push_back(costs.query);
@@ -276,7 +276,8 @@ Json resultsJson(const CompareScene& scene, const std::vector<PlannedRun>& plan,
             continue;
         }
         j["runs"].push_back(runJson(r, run));
-        if (r.unanswered > 0 || r.errors[std::size_t(options.error)].count == 0) continue;
+        const bool judged = r.errors[std::size_t(options.error)].count > 0;
+        if (r.unanswered > 0 || !r.query.one || !judged) continue;
         // Every map against Embree, and the other way round.
         const std::string rival = run.method->name == "embree" ? "mtsm" : "embree";
         j["equalError"].push_back(
@@ -301,16 +302,18 @@ std::string resultsCsv(const Json& results) {
             out << ',' << kind << '_' << what;
     out << '\n';
     for (const Json& run : results["runs"]) {
-        const auto& q = run["query"];
+        const auto field = [](const Json& timing, const char* which) {
+            return timing.is_null() ? std::string() : timing[which].dump();
+        };
+        const Json &build = run["build"], &one = run["query"]["one"];
         out << run["light"] << ','
             << results["lights"][run["light"].get<std::size_t>()]["radius"] << ','
             << run["method"].get<std::string>() << ",\""
-            << run["label"].get<std::string>() << "\",";
-        // Too long a build is not timed with one thread.
-        if (const Json& one = run["build"]["one"]; !one.is_null()) out << one["median"];
-        out << ',' << run["build"]["all"]["median"] << ',' << run["build"]["memoryBytes"]
-            << ',' << q["one"]["median"] << ',' << q["one"]["least"] << ','
-            << q["one"]["most"] << ',' << q["all"]["median"] << ',' << run["unanswered"];
+            << run["label"].get<std::string>() << "\"," << field(build["one"], "median")
+            << ',' << field(build["all"], "median") << ',' << build["memoryBytes"] << ','
+            << field(one, "median") << ',' << field(one, "least") << ','
+            << field(one, "most") << ',' << field(run["query"]["all"], "median") << ','
+            << run["unanswered"];
         for (const char* kind : kErrorKinds) {
             const Json& e = run["errors"][kind];
             for (const char* what :
@@ -420,7 +423,8 @@ Json pageResults(Json results, ErrorKind error) {
                 continue;
             Measured m;
             m.error = run["errors"][kind]["mean"];
-            m.seconds = run["query"]["one"]["median"];
+            const Json& one = run["query"]["one"];
+            m.seconds = (one.is_null() ? run["query"]["all"] : one)["median"];
             runs.push_back(m);
             ids.push_back(run["id"]);
             methods.push_back(run["method"]);

@@ -197,19 +197,19 @@ std::uint64_t Session::heldBytes() const {
 }
 
 /// Seconds that `times` answers take.
-double Session::timeOnce(std::size_t light, const RunResult& result,
-                         const Picture& picture, int threads, int times) const {
+double Session::timeOnce(std::size_t light, const RunResult& result, int threads,
+                         int times) const {
     const PlannedRun& run = plan_[result.run];
     const std::string key =
         (run.method->perLight ? std::to_string(light) : std::string("any")) + " " +
         run.buildKey;
     const baseline::Method& method = *built_.at(key).method;
-    std::vector<float> out(picture.points.size());
+    std::vector<float> out(sample_.points.size());
     tbb::task_arena arena(threads);
     const auto start = Clock::now();
     for (int i = 0; i < times; ++i) {
         const Status done = arena.execute([&] {
-            return method.shadowFactors(scene_.lights()[light].light, picture.receivers(),
+            return method.shadowFactors(scene_.lights()[light].light, sample_.receivers(),
                                         run.settings, out.data());
         });
         if (!done) throw Failure{done.error()};
@@ -224,6 +224,7 @@ void Session::answer(std::size_t light, RunResult& result, Built& method) {
     (void)talk_.progress("picture of " + run.label, -1.0);
     std::vector<float> out(picture.points.size());
     tbb::task_arena arena(options_.threads);
+    const auto start = Clock::now();
     const Status done = arena.execute([&] {
         return method.method->shadowFactors(
             scene_.lights()[light].light, picture.receivers(), run.settings, out.data());
@@ -232,6 +233,8 @@ void Session::answer(std::size_t light, RunResult& result, Built& method) {
         result.failure = done.error().message;
         return;
     }
+    // What is timed on whole pictures takes too long to be done again and again.
+    if (run.method->fixedCost) result.query.all = timingOf({since(start)});
     result.values = picture.pixelMeans(out);
     result.memoryBytes = method.method->memoryBytes();
     result.build = method.seconds;
@@ -240,19 +243,17 @@ void Session::answer(std::size_t light, RunResult& result, Built& method) {
 void Session::timeRounds(std::size_t light, const std::vector<RunResult*>& group) {
     struct Clocked {
         RunResult* result;
-        const Picture* picture;
         int times[2] = {1, 1}, repeats = 0;
         std::vector<double> seconds[2];
     };
-    const Picture& whole = scene_.picture();
     const int threads[2] = {1, options_.threads};
     std::vector<Clocked> clocks;
     for (RunResult* result : group) {
-        Clocked c{
-            result, plan_[result->run].method->fixedCost ? &whole : &sample_, {}, 0, {}};
+        if (plan_[result->run].method->fixedCost) continue;
+        Clocked c{result, {}, 0, {}};
         for (int t = 0; t < 2; ++t) {
             (void)talk_.progress("warming up " + plan_[result->run].label, -1.0);
-            const double once = timeOnce(light, *result, *c.picture, threads[t], 1);
+            const double once = timeOnce(light, *result, threads[t], 1);
             c.times[t] = std::max(1, int(std::ceil(kShortest / std::max(once, 1e-6))));
             c.repeats = once > kLong ? 1 : options_.repeats;
             if (once > kLong) c.seconds[t].push_back(once);
@@ -268,13 +269,11 @@ void Session::timeRounds(std::size_t light, const std::vector<RunResult*>& group
             for (int t = 0; t < 2; ++t)
                 if (int(c.seconds[t].size()) < c.repeats)
                     c.seconds[t].push_back(
-                        timeOnce(light, *c.result, *c.picture, threads[t], c.times[t]) /
-                        c.times[t]);
+                        timeOnce(light, *c.result, threads[t], c.times[t]) / c.times[t]);
         }
     }
     for (Clocked& c : clocks) {
-        const double scale =
-            double(scene_.allPoints()) / double(c.picture->points.size());
+        const double scale = double(scene_.allPoints()) / double(sample_.points.size());
         for (auto& seconds : c.seconds)
             for (double& s : seconds)
                 s *= scale;

@@ -5,7 +5,8 @@
 // holds at once), each answers the whole picture once, which warms it up, and then they
 // answer a sample of the picture in turns, round after round. The sample is runs of 64
 // neighbouring pixels spread over the picture; its time is scaled to the whole. Where an
-// answer has costs that do not fall with the number of points, whole pictures are timed.
+// answer has costs that do not fall with the number of points, the whole picture is
+// timed, once and with all threads.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -82,8 +83,8 @@ class Session {
     [[nodiscard]] std::uint64_t heldBytes() const;
     void answer(std::size_t light, RunResult& result, Built& built);
     void timeRounds(std::size_t light, const std::vector<RunResult*>& group);
-    double timeOnce(std::size_t light, const RunResult& result,
-                    const baseline::Picture& picture, int threads, int times) const;
+    double timeOnce(std::size_t light, const RunResult& result, int threads,
+                    int times) const;
     void judge(std::size_t light, RunResult& result) const;
 
     [[nodiscard]] std::uint64_t lightKey(std::size_t light) const;
