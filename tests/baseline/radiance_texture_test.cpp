@@ -700,6 +700,61 @@ TEST_CASE("triangles and polygons fit their parallelograms", "[baseline]") {
     CHECK(!polygonReceiver({{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0.1}}));
 }
 
+TEST_CASE("flat faces of a mesh are found as what they are", "[baseline]") {
+    const auto shapes = [](const Mesh& mesh) {
+        std::vector<ReceiverShape> found;
+        for (const RadianceReceiver& r : meshReceivers(mesh.view()))
+            found.push_back(r.shape);
+        return found;
+    };
+    using Shapes = std::vector<ReceiverShape>;
+    const auto parallelogram = ReceiverShape::parallelogram,
+               triangle = ReceiverShape::triangle, polygon = ReceiverShape::polygon;
+    // Two walls and a floor that share corners, each of two triangles.
+    Mesh room = quad({0, 0, 0}, {1, 0, 0}, {0, 0, -2});
+    for (const Mesh& wall : {quad({0, 0, 0}, {0, 0, -2}, {0, 1, 0}),
+                             quad({0, 0, -2}, {1, 0, 0}, {0, 1, 0})}) {
+        for (const std::uint32_t i : wall.indices)
+            room.indices.push_back(std::uint32_t(room.positions.size()) + i);
+        room.positions.insert(room.positions.end(), wall.positions.begin(),
+                              wall.positions.end());
+    }
+    CHECK(shapes(room) == Shapes(3, parallelogram));
+    const glm::dvec3 up = glm::cross(meshReceivers(room.view())[0].plane.edgeX,
+                                     meshReceivers(room.view())[0].plane.edgeY);
+    CHECK(up.y == Approx(2));
+
+    // A fan of five around a corner in its middle, and without the last of it.
+    Mesh fan;
+    fan.positions.push_back({0, 0, 0});
+    for (int i = 0; i < 5; ++i)
+        fan.positions.emplace_back(std::cos(1.2566f * float(i)), 0,
+                                   -std::sin(1.2566f * float(i)));
+    for (std::uint32_t i = 0; i < 5; ++i)
+        fan.indices.insert(fan.indices.end(), {0, 1 + i, 1 + (i + 1) % 5});
+    CHECK(shapes(fan) == Shapes{polygon});
+    fan.indices.resize(3);
+    CHECK(shapes(fan) == Shapes{triangle});
+
+    // A square frame has a hole: its triangles stay alone.
+    Mesh frame;
+    frame.positions = {{-2, 0, 2}, {2, 0, 2}, {2, 0, -2}, {-2, 0, -2},
+                       {-1, 0, 1}, {1, 0, 1}, {1, 0, -1}, {-1, 0, -1}};
+    for (std::uint32_t i = 0; i < 4; ++i) {
+        const std::uint32_t j = (i + 1) % 4;
+        frame.indices.insert(frame.indices.end(), {i, j, 4 + j, i, 4 + j, 4 + i});
+    }
+    CHECK(shapes(frame) == Shapes(8, triangle));
+
+    // A bent sheet is two faces; what has no area is none.
+    Mesh bent = quad({0, 0, 0}, {1, 0, 0}, {0, 1, 0});
+    bent.positions[3].z = 0.3f;
+    CHECK(shapes(bent) == Shapes(2, triangle));
+    bent.indices = {0, 1, 1, 0, 1, 2};
+    bent.positions[2] = {2, 0, 0};
+    CHECK(shapes(bent).empty());
+}
+
 TEST_CASE("two triangles in one texture do not bleed into each other", "[baseline]") {
     for (const glm::uvec2 size : {glm::uvec2(8, 8), glm::uvec2(5, 13), glm::uvec2(16, 3),
                                   glm::uvec2(1, 1), glm::uvec2(1, 7)}) {
