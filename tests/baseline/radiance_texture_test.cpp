@@ -309,21 +309,21 @@ TEST_CASE("the visibility texture equals ray tracing on a planar receiver",
 
 TEST_CASE("the error falls from 2 x 2 to 4 x 4 to 16 x 16 samples",
           "[baseline][statistical]") {
-    const Mesh body = test::bumpyBody(2000);
+    const Mesh body = test::bumpyBody(800);
     MeshView view = body.view();
     view.worldFromObject[3] = glm::dvec4(0, 1.3, 0, 1.0);
     const ShadowCasters casters = castersOf({view});
     const RadianceReceiver floor = parallelogramReceiver(floorOf(3));
     const AreaLight light = lightAt(LightShape::rect, {1, 5, 1}, 2.0);
     RadianceOptions options;
-    options.resolution = 48;
+    options.resolution = 40;
     const auto visibility = [&](int n) {
         options.samplesPerSide = n;
         return textureOf(casters, floor, light, options).visibility[0];
     };
     for (const LightGrid grid : {LightGrid::jittered, LightGrid::regular}) {
         options.grid = grid;
-        const std::vector<float> truth = visibility(64);
+        const std::vector<float> truth = visibility(40);
         const double two = difference(visibility(2), truth).absolute,
                      four = difference(visibility(4), truth).absolute,
                      sixteen = difference(visibility(16), truth).absolute;
@@ -879,7 +879,7 @@ TEST_CASE("options, lights and receivers out of range are refused", "[baseline]"
 
 TEST_CASE("the row answers on its planes as ray tracing does, and nowhere else",
           "[baseline][statistical]") {
-    const Mesh body = test::bumpyBody(2000);
+    const Mesh body = test::bumpyBody(1000);
     MeshView view = body.view();
     view.worldFromObject[3] = glm::dvec4(0, 1.3, 0, 1.0);
     CasterViews casters({view});
@@ -888,11 +888,11 @@ TEST_CASE("the row answers on its planes as ray tracing does, and nowhere else",
     const auto info = findMethod("radiance");
     REQUIRE(info);
     auto settings = Settings::complete(
-        (*info)->settings, {{"resolution", 300.0}, {"samples", 24.0}}, "radiance");
+        (*info)->settings, {{"resolution", 240.0}, {"samples", 16.0}}, "radiance");
     REQUIRE(settings);
     auto method = (*info)->build(scene, *settings);
     REQUIRE(method);
-    CHECK((*method)->memoryBytes() == 4 * (300 * 300 + 300 * 200));
+    CHECK((*method)->memoryBytes() == 4 * (240 * 240 + 240 * 160));
 
     std::mt19937 random(2);
     std::uniform_real_distribution<double> unit(0.0, 1.0);

@@ -2,17 +2,18 @@
 // against the grid of light samples, regular and jittered (sec. 3.7); time against
 // samples; time and casters looked at against the number s of polygons when all of them
 // receive, without and with culling: s^2 and s^1.3 (sec. 3.9). Prints Markdown tables;
-// times are the least of three runs, in the threads of the machine or of --threads.
+// times are CPU seconds, of all threads together, the least of three runs.
 //
 //     bench_radiance
 //     bench_radiance --threads 1 --polygons 500,1000,2000,4000,8000
 #include <tbb/task_arena.h>
 
 #include <CLI/CLI.hpp>
-#include <chrono>
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <ctime>
 #include <glm/geometric.hpp>
 #include <random>
 
@@ -44,15 +45,14 @@ std::vector<RadianceTexture> texturesOf(const ShadowCasters& casters,
     return std::move(*textures);
 }
 
+/// CPU seconds.
 template <typename Work>
 double bestSeconds(const Work& work) {
-    using Clock = std::chrono::steady_clock;
     double best = 1e300;
     for (int run = 0; run < 3; ++run) {
-        const auto start = Clock::now();
+        const std::clock_t start = std::clock();
         work();
-        best =
-            std::min(best, std::chrono::duration<double>(Clock::now() - start).count());
+        best = std::min(best, double(std::clock() - start) / CLOCKS_PER_SEC);
     }
     return best;
 }
@@ -122,7 +122,7 @@ void sampleTable(const ShadowCasters& casters) {
     options.resolution = 512;
     std::printf(
         "\nTime against samples: %llu triangles onto one floor of 512 x 512 texels\n\n"
-        "| samples | seconds | ms per sample |\n|---|---|---|\n",
+        "| samples | CPU seconds | ms per sample |\n|---|---|---|\n",
         static_cast<unsigned long long>(casters.triangles()));
     for (const int n : {1, 2, 4, 8, 16}) {
         options.samplesPerSide = n;
@@ -157,7 +157,8 @@ void polygonTable(const std::vector<std::size_t>& counts) {
     std::printf(
         "\nTime against polygons: all of s triangles cast and receive, 8 texels on a "
         "side, 4 samples\n\n"
-        "| s | all: seconds | drawn per image | culled: seconds | drawn per image |\n"
+        "| s | all: CPU seconds | drawn per image | culled: CPU seconds | drawn per "
+        "image |\n"
         "|---|---|---|---|---|\n");
     double first[2] = {}, last[2] = {}, drawnFirst[2] = {}, drawnLast[2] = {};
     for (const std::size_t s : counts) {
