@@ -8,6 +8,7 @@ namespace mtsm::baseline {
 const std::vector<MethodInfo>& methods() {
     static const std::vector<MethodInfo> all = {
         mtsmMethod(),
+        embreeMethod(),
     };
     return all;
 }
