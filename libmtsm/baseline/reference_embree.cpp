@@ -53,23 +53,27 @@ Error noMemory(const char* kind, std::size_t count, const char* parts) {
                            count, " ", parts);
 }
 
-/// A stream of 16 rays at most as a packet: faster where their origins differ.
-void tracePacket(RTCScene scene, const RayStream& s, ShadowContext& context,
-                 float* reach) {
+constexpr std::size_t kPacketRays = 16;
+
+/// Up to 16 rays of a stream as a packet. That is faster than a stream where origins
+/// differ or frustums are of no use.
+void tracePacket(RTCScene scene, const RayStream& s, std::size_t first,
+                 ShadowContext& context, float* reach) {
+    const std::size_t n = std::min(kPacketRays, s.count - first);
     alignas(64) RTCRay16 p{};
-    alignas(64) int valid[16] = {};
-    std::fill_n(valid, s.count, -1);
-    std::copy_n(s.orgX, s.count, p.org_x);
-    std::copy_n(s.orgY, s.count, p.org_y);
-    std::copy_n(s.orgZ, s.count, p.org_z);
-    std::copy_n(s.dirX, s.count, p.dir_x);
-    std::copy_n(s.dirY, s.count, p.dir_y);
-    std::copy_n(s.dirZ, s.count, p.dir_z);
-    std::copy_n(s.length, s.count, p.tfar);
-    std::fill_n(p.mask, s.count, ~0u);
-    std::iota(p.id, p.id + s.count, 0u);
+    alignas(64) int valid[kPacketRays] = {};
+    std::fill_n(valid, n, -1);
+    std::copy_n(s.orgX + first, n, p.org_x);
+    std::copy_n(s.orgY + first, n, p.org_y);
+    std::copy_n(s.orgZ + first, n, p.org_z);
+    std::copy_n(s.dirX + first, n, p.dir_x);
+    std::copy_n(s.dirY + first, n, p.dir_y);
+    std::copy_n(s.dirZ + first, n, p.dir_z);
+    std::copy_n(s.length + first, n, p.tfar);
+    std::fill_n(p.mask, n, ~0u);
+    std::iota(p.id, p.id + n, unsigned(first));
     rtcOccluded16(valid, scene, &context, &p);
-    std::copy_n(p.tfar, s.count, reach);
+    std::copy_n(p.tfar, n, reach + first);
 }
 
 /// What a sample counts.
@@ -277,8 +281,10 @@ void EmbreeReference::Scene::trace(RayStream& s, ShadowContext& context) const n
         reach[i] = context.reach[i] = s.length[i];
         context.visible[i] = glm::vec3(1.0f);
     }
-    if (s.count <= 16 && s.owner[0] != s.owner[s.count - 1]) {
-        tracePacket(scene, s, context, reach);
+    const bool coherent = context.flags == RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+    if (!coherent || (s.count <= kPacketRays && s.owner[0] != s.owner[s.count - 1])) {
+        for (std::size_t i = 0; i < s.count; i += kPacketRays)
+            tracePacket(scene, s, i, context, reach);
     } else {
         RTCRayNp rays{s.orgX, s.orgY, s.orgZ, zero, s.dirX, s.dirY,
                       s.dirZ, zero,   reach,  mask, id,     flags};
@@ -312,7 +318,11 @@ void EmbreeReference::Scene::look(const light::LightSampler& sampler,
     const double offset = options.offset * glm::length(high - low);
     ShadowContext context;
     rtcInitIntersectContext(&context);
-    context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+    // Coherent traversal may find a hit twice (seen where the tree is a single leaf): it
+    // is for casters that end a ray at once.
+    context.flags = meshes.empty() && strands.empty()
+                        ? RTC_INTERSECT_CONTEXT_FLAG_COHERENT
+                        : RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
     context.color = color;
     RayStream stream;
     const auto flush = [&] {
