@@ -41,7 +41,7 @@ struct ReferenceOptions {
 /// A point that looks at a light: at samples first + order[0..count) of its sequence.
 struct LightLook {
     glm::dvec3 point{0.0};
-    glm::dvec3 normal{0.0};  ///< zero: none
+    glm::dvec3 normal{0.0};  ///< unit; zero: none
     std::uint64_t key = 0;   ///< of the sequence
     std::uint32_t first = 0;
 };
