@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <glm/geometric.hpp>
-#include <limits>
+#include <numeric>
 
 #include "base/finite.h"
 #include "base/parallel.h"
@@ -126,11 +126,18 @@ std::vector<SamplePattern> sharedPatterns(const Receivers& at, std::uint32_t sam
             while (q < at.pixels && q - p < kSharingPixels && isSingle(q))
                 ++q;
         }
-        for (std::size_t i = at.first[p], place = 0; i < at.first[q]; ++i, ++place) {
-            const std::size_t within = place % perSequence;
-            patterns[i].first = std::uint32_t(within) * samples;
-            patterns[i].key =
-                within == 0 ? base::pointKey(at.points[i], seed) : patterns[i - 1].key;
+        // Who takes which samples is shuffled: else the place in the pixel would go with
+        // the place on the light, and what both move (an edge) would be seen unevenly.
+        const std::size_t begin = at.first[p], count = at.first[q] - begin;
+        const std::uint64_t key = base::pointKey(at.points[begin], seed);
+        std::vector<std::size_t> place(count);
+        std::iota(place.begin(), place.end(), std::size_t(0));
+        for (std::size_t k = count; k > 1; --k)
+            std::swap(place[k - 1], place[base::mix(key + k) % k]);
+        for (std::size_t k = 0; k < count; ++k) {
+            const std::size_t sequence = place[k] / perSequence;
+            patterns[begin + k].first = std::uint32_t(place[k] % perSequence) * samples;
+            patterns[begin + k].key = sequence == 0 ? key : base::mix(key ^ sequence);
         }
         p = q;
     }
