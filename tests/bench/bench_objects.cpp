@@ -30,6 +30,7 @@ using namespace mtsm::baseline;
 struct Options {
     std::vector<std::string> files;
     std::vector<double> lights{0.05, 0.25, 0.67};  // radius over the casters' diagonal
+    double grownUpTo = 0.1;  // lights with which boxes grown by D are timed, too
     int spheres = 10'000, repetitions = 9, side = 300, truth = 1024;
     std::vector<int> resolutions{64, 128, 256};
 };
@@ -79,7 +80,8 @@ AreaLight lightOver(glm::dvec3 low, glm::dvec3 high, double share) {
 
 /// Medians of hard, of soft with either tree, by point, and their work.
 void timeSingleSample(const SingleSampleScene& scene, const AreaLight& light,
-                      const Points& points, const char* where, int repetitions) {
+                      const Points& points, const char* where, int repetitions,
+                      bool withGrown) {
     struct Variant {
         const char* name;
         SingleSampleOptions options;
@@ -91,8 +93,8 @@ void timeSingleSample(const SingleSampleScene& scene, const AreaLight& light,
     all.compose = Compose::multiply;
     std::vector<Variant> variants{{"hard", hard, {}, {}},
                                   {"soft, cone", soft, {}, {}},
-                                  {"soft, cone, multiply", all, {}, {}},
-                                  {"soft, boxes grown by D", grown, {}, {}}};
+                                  {"soft, cone, multiply", all, {}, {}}};
+    if (withGrown) variants.push_back({"soft, boxes grown by D", grown, {}, {}});
     std::vector<float> out(points.at.size());
     for (int r = 0; r < repetitions; ++r) {
         for (Variant& v : variants) {
@@ -138,7 +140,7 @@ void timeSpheres(const Options& options) {
     for (const double share : options.lights) {
         std::printf(" light's radius %.2f of the diagonal\n", share);
         timeSingleSample(*scene, lightOver(low, high, share), floor, "floor",
-                         options.repetitions);
+                         options.repetitions, share <= options.grownUpTo);
     }
 }
 
@@ -186,8 +188,10 @@ int measureMesh(const Options& options) {
     for (const double share : options.lights) {
         std::printf(" light's radius %.2f of the diagonal\n", share);
         const AreaLight light = lightOver(low, high, share);
-        timeSingleSample(*scene, light, floor, "floor", options.repetitions);
-        timeSingleSample(*scene, light, body, "object", options.repetitions);
+        timeSingleSample(*scene, light, floor, "floor", options.repetitions,
+                         share <= options.grownUpTo);
+        timeSingleSample(*scene, light, body, "object", options.repetitions,
+                         share <= options.grownUpTo);
     }
     std::vector<std::pair<int, DistanceFieldPtr>> fields;
     for (const int resolution : options.resolutions) {
@@ -237,11 +241,14 @@ int measureMesh(const Options& options) {
 }  // namespace
 
 int main(int argc, char** argv) {
+    std::setvbuf(stdout, nullptr, _IOLBF, 0);
     Options options;
     CLI::App app("Single sample soft shadows and distance fields: time and error");
     app.add_option("files", options.files, "meshes; without, a cloud of spheres");
     app.add_option("--light", options.lights, "radii, of the casters' diagonal")
         ->delimiter(',');
+    app.add_option("--grown-up-to", options.grownUpTo,
+                   "largest light for which boxes grown by its diameter are timed");
     app.add_option("--spheres", options.spheres, "their number");
     app.add_option("--repetitions", options.repetitions, "of each time");
     app.add_option("--side", options.side, "points along a side");
