@@ -26,7 +26,11 @@ glm::vec3 centre(const Box& box) {
 
 WideRay::WideRay(glm::dvec3 origin, glm::dvec3 direction, double reach, double growth,
                  double margin, float size) noexcept
-    : origin_(origin), direction_(direction), reach_(float(reach * (1.0 + kRounding))) {
+    : origin_(origin),
+      direction_(direction),
+      start_(origin),
+      towards_(direction),
+      reach_(float(reach * (1.0 + kRounding))) {
     const double far =
         std::max({std::abs(origin.x), std::abs(origin.y), std::abs(origin.z)});
     margin_ = margin + kRounding * (far + double(size));
