@@ -34,10 +34,13 @@ WideRay::WideRay(glm::dvec3 origin, glm::dvec3 direction, double reach, double g
     const double far =
         std::max({std::abs(origin.x), std::abs(origin.y), std::abs(origin.z)});
     margin_ = margin + kRounding * (far + double(size));
+    slack_ = 2.0f * float(margin_);
     narrow(growth);
 }
 
 void WideRay::narrow(double growth) noexcept {
+    growth_ = float(growth * (1.0 + kRounding));
+    secant_ = float(std::sqrt(1.0 + growth * growth) * (1.0 + kRounding));
     for (int a = 0; a < 3; ++a) {
         // A disk across the ray reaches this far along the axis.
         const double across =

@@ -16,6 +16,7 @@
 #pragma once
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <glm/vec3.hpp>
@@ -60,23 +61,34 @@ class WideRay {
         bool backwards = false;  // the near plane is the upper one
         bool open = false;
     };
-    /// About the squared tangent under which the middle of a child's box is seen from
-    /// the origin, off the direction.
+    /// How a child's box lies around the ray, by the sphere around it. Slabs alone let
+    /// pass what is up to sqrt(2) too far off.
+    struct Place {
+        bool missed = false;
+        float apart = 0.0f;  // tangent under which the middle is seen, off the direction
+    };
     template <std::size_t N>
-    [[nodiscard]] float apart(const float (&plane)[2][3][N],
+    [[nodiscard]] Place place(const float (&plane)[2][3][N],
                               std::uint32_t c) const noexcept {
-        float squared = 0.0f, t = 0.0f;
+        glm::vec3 q;
+        float t = 0.0f, size = 0.0f;
         for (int a = 0; a < 3; ++a) {
-            const float q = 0.5f * (plane[0][a][c] + plane[1][a][c]) - start_[a];
-            squared += q * q;
-            t += q * towards_[a];
+            const float low = plane[0][a][c], high = plane[1][a][c];
+            q[a] = 0.5f * (low + high) - start_[a];
+            t += q[a] * towards_[a];
+            size += (high - low) * (high - low);
         }
-        return t > 0.0f ? (squared - t * t) / (t * t) : std::numeric_limits<float>::max();
+        q -= t * towards_;
+        const float d = std::sqrt(q.x * q.x + q.y * q.y + q.z * q.z),
+                    radius = 0.5f * std::sqrt(size) + slack_;
+        return {d - growth_ * t > radius * secant_,
+                t > 0.0f ? d / t : std::numeric_limits<float>::max()};
     }
 
     std::array<Axis, 3> axes_;
     glm::dvec3 origin_, direction_;
     glm::vec3 start_, towards_;  // the same
+    float growth_ = 0.0f, secant_ = 1.0f, slack_ = 0.0f;
     float reach_;
     double margin_;
 };
@@ -114,7 +126,12 @@ class GrownTree {
             const std::size_t first = waiting;
             for (std::uint32_t c = 0; c < kWidth; ++c) {
                 if (!met[c]) continue;
-                Waiting child{at, c, nearestFirst ? ray.apart(node.plane, c) : 0.0f};
+                Waiting child{at, c, 0.0f};
+                if (nearestFirst) {
+                    const WideRay::Place lies = ray.place(node.plane, c);
+                    if (lies.missed) continue;
+                    child.apart = lies.apart;
+                }
                 std::size_t place = waiting++;
                 for (; place > first && stack[place - 1].apart < child.apart; --place)
                     stack[place] = stack[place - 1];
@@ -126,10 +143,7 @@ class GrownTree {
                 const Waiting next = stack[--waiting];
                 const Node& parent = nodes_[next.node];
                 // The ray may have become narrower.
-                if (nearestFirst) {
-                    meet(parent, ray, met);
-                    if (!met[next.child]) continue;
-                }
+                if (nearestFirst && ray.place(parent.plane, next.child).missed) continue;
                 at = parent.child[next.child];
                 const std::uint32_t count = parent.count[next.child];
                 if (count == 0) break;
