@@ -21,9 +21,9 @@ namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // Voxels that a narrow grid has on each side of the surface: OpenVDB's time goes with
-// them. A cell whose corners are all there reaches sqrt(3) less; from there on, 2.1 voxels
-// of the next grid, that one is good enough: within an eighth of its voxel (h^2 / 4 d,
-// twice the second difference of a distance d).
+// them. A cell whose corners are all there reaches sqrt(3) less; from there on, 2.1
+// voxels of the next grid, that one is good enough: within an eighth of its voxel (h^2 /
+// 4 d, twice the second difference of a distance d).
 constexpr float kBand = 6.0f;
 constexpr float kTrusted = kBand - 1.75f;
 constexpr double kCoarser = 2.0;  // a voxel's side in the next grid
