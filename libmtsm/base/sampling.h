@@ -7,6 +7,7 @@
 // a smooth integrand falls faster than 1/sqrt(N), and over a step at least as fast.
 // Integer arithmetic alone: the same on every machine [Owen95], [Laine11].
 #pragma once
+#include <cstddef>
 #include <cstdint>
 #include <glm/vec2.hpp>
 #include <glm/vec3.hpp>
@@ -28,6 +29,9 @@ class SquareSequence {
     /// Point i in [0, 1) x [0, 1); i < 2^12 points are well spread (kMaxSamples in
     /// shadow.h).
     [[nodiscard]] glm::dvec2 operator()(std::uint32_t i) const noexcept;
+    /// Points index[0..count), rounded to float: in [0, 1], 1 included.
+    void points(const std::uint32_t* index, std::size_t count, float* x,
+                float* y) const noexcept;
 
   private:
     std::uint32_t seedX_, seedY_;

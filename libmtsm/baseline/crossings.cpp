@@ -6,13 +6,13 @@
 namespace mtsm::baseline {
 namespace {
 
-/// `opaque(hit)` says whether the ray ends at a hit; else it goes on.
+/// `opaque(i, hit)` says whether ray i of the packet ends at a hit; else it goes on.
 template <typename Opaque>
 void filterHits(const RTCFilterFunctionNArguments* args, const Opaque& opaque) {
     for (unsigned i = 0; i < args->N; ++i) {
         if (args->valid[i] != -1) continue;
         const RTCHit hit = rtcGetHitFromHitN(args->hit, args->N, i);
-        if (!opaque(hit)) args->valid[i] = 0;
+        if (!opaque(i, hit)) args->valid[i] = 0;
     }
 }
 
@@ -69,8 +69,9 @@ float RibbonStrands::opacityAt(std::size_t segment, float u) const noexcept {
 void payMesh(const RTCFilterFunctionNArguments* args) {
     auto& context = *static_cast<ShadowContext*>(args->context);
     const auto& mesh = *static_cast<const TranslucentMesh*>(args->geometryUserPtr);
-    filterHits(args, [&](const RTCHit& hit) {
+    filterHits(args, [&](unsigned i, const RTCHit& hit) {
         return !context.pay(
+            RTCRayN_id(args->ray, args->N, i),
             mesh.opacityAt(hit.primID, glm::vec2(hit.u, hit.v), context.color));
     });
 }
@@ -78,24 +79,24 @@ void payMesh(const RTCFilterFunctionNArguments* args) {
 void payStrands(const RTCFilterFunctionNArguments* args) {
     auto& context = *static_cast<ShadowContext*>(args->context);
     const auto& strands = *static_cast<const RibbonStrands*>(args->geometryUserPtr);
-    const RTCRay ray = rtcGetRayFromRayN(args->ray, args->N, 0);
-    const glm::vec3 origin(ray.org_x, ray.org_y, ray.org_z),
-        direction(ray.dir_x, ray.dir_y, ray.dir_z);
-    filterHits(args, [&](const RTCHit& hit) {
+    filterHits(args, [&](unsigned i, const RTCHit& hit) {
         const std::size_t segment = hit.primID;
         if (beyondEnd(strands, segment, hit.u)) return false;
+        const RTCRay ray = rtcGetRayFromRayN(args->ray, args->N, i);
         // Of a run of segments that the ray meets, the first one pays.
         if (strands.joinsLeft(segment)) {
-            const auto u = meets(strands, segment - 1, origin, direction, context.reach);
+            const auto u =
+                meets(strands, segment - 1, {ray.org_x, ray.org_y, ray.org_z},
+                      {ray.dir_x, ray.dir_y, ray.dir_z}, context.reach[ray.id]);
             if (u && !beyondEnd(strands, segment - 1, *u)) return false;
         }
-        return !context.pay(glm::vec3(strands.opacityAt(segment, hit.u)));
+        return !context.pay(ray.id, glm::vec3(strands.opacityAt(segment, hit.u)));
     });
 }
 
 void passHoles(const RTCFilterFunctionNArguments* args) {
     const auto& mesh = *static_cast<const TranslucentMesh*>(args->geometryUserPtr);
-    filterHits(args, [&](const RTCHit& hit) {
+    filterHits(args, [&](unsigned, const RTCHit& hit) {
         return mesh.opacityAt(hit.primID, glm::vec2(hit.u, hit.v), false).x > 0.0f;
     });
 }

@@ -15,21 +15,25 @@
 #include <optional>
 #include <vector>
 
+#include "baseline/shadow_rays.h"
 #include "mtsm/opacity_texture.h"
 
 namespace mtsm::baseline {
 
 inline constexpr float kDark = 1e-4f;  ///< rays with less visibility left end
 
+/// For rays whose ids are their places in the stream.
 struct ShadowContext : RTCIntersectContext {
-    glm::vec3 visible{1.0f};  ///< per channel; without colour all three are the same
+    /// Per ray and channel; without colour all three are the same.
+    glm::vec3 visible[kStreamRays];
+    float reach[kStreamRays];  ///< where rays end; Embree shortens its own to the hit
     bool color = false;
-    float reach = 0.0f;  ///< where the ray ends; Embree shortens its own to the hit
 
-    /// What is left after a crossing; false: nothing worth tracing on.
-    bool pay(glm::vec3 opacity) noexcept {
-        visible *= 1.0f - opacity;
-        return visible.x > kDark || visible.y > kDark || visible.z > kDark;
+    /// What is left to a ray after a crossing; false: nothing worth tracing on.
+    bool pay(unsigned ray, glm::vec3 opacity) noexcept {
+        glm::vec3& left = visible[ray];
+        left *= 1.0f - opacity;
+        return left.x > kDark || left.y > kDark || left.z > kDark;
     }
 };
 
@@ -65,8 +69,9 @@ struct RibbonStrands {
     [[nodiscard]] float opacityAt(std::size_t segment, float u) const noexcept;
 };
 
-/// Occlusion filters: every crossing is paid for. A strand that a ray meets in several
-/// consecutive segments, as around a joint, is crossed once.
+/// Occlusion filters, for single rays, packets and streams: every crossing is
+/// paid for. A strand that a ray meets in several consecutive segments, as around a
+/// joint, is crossed once.
 void payMesh(const RTCFilterFunctionNArguments* args);
 void payStrands(const RTCFilterFunctionNArguments* args);
 /// Intersection filter: the holes of a textured mesh are not there.

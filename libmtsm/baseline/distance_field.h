@@ -5,8 +5,8 @@
 //
 // Analytic fields are exact. A field of meshes is a few grids of OpenVDB's distances to
 // the triangles, interpolated trilinearly: narrow bands around the surface, the finest
-// with the voxels asked for, each next one with voxels 4 times as wide and so reaching 4
-// times as far, and the coarsest fills a box that reaches one longest side of the casters
+// with the voxels asked for, each next one with voxels twice as wide and so reaching
+// twice as far, and the coarsest fills a box that reaches one longest side of the casters
 // beyond them on every side. Outside of that it is the distance to the casters' bounds, a
 // lower bound: good for steps, and a little too near where shadows compare distances.
 //

@@ -26,14 +26,21 @@ glm::vec3 centre(const Box& box) {
 
 WideRay::WideRay(glm::dvec3 origin, glm::dvec3 direction, double reach, double growth,
                  double margin, float size) noexcept
-    : origin_(origin), direction_(direction), reach_(float(reach * (1.0 + kRounding))) {
+    : origin_(origin),
+      direction_(direction),
+      start_(origin),
+      towards_(direction),
+      reach_(float(reach * (1.0 + kRounding))) {
     const double far =
         std::max({std::abs(origin.x), std::abs(origin.y), std::abs(origin.z)});
     margin_ = margin + kRounding * (far + double(size));
+    slack_ = 2.0f * float(margin_);
     narrow(growth);
 }
 
 void WideRay::narrow(double growth) noexcept {
+    growth_ = float(growth * (1.0 + kRounding));
+    secant_ = float(std::sqrt(1.0 + growth * growth) * (1.0 + kRounding));
     for (int a = 0; a < 3; ++a) {
         // A disk across the ray reaches this far along the axis.
         const double across =

@@ -2,7 +2,8 @@
 // is found beside what it hits.
 //
 //     GrownTree tree(boxes);                       // put your items in tree.order()
-//     tree.search(ray, [&](std::size_t begin, std::size_t end) { ...; return true; });
+//     tree.search(ray, false, [&](std::size_t begin, std::size_t end) { ...; return true;
+//     });
 //
 // A single-sample soft shadow asks for all objects whose grown outline the ray meets, and
 // they grow with their distance from the receiver [Parker98, appendix]. Growing the boxes
@@ -15,6 +16,7 @@
 #pragma once
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <glm/vec3.hpp>
@@ -59,8 +61,34 @@ class WideRay {
         bool backwards = false;  // the near plane is the upper one
         bool open = false;
     };
+    /// How a child's box lies around the ray, by the sphere around it. Slabs alone let
+    /// pass what is up to sqrt(2) too far off.
+    struct Place {
+        bool missed = false;
+        float apart = 0.0f;  // tangent under which the middle is seen, off the direction
+    };
+    template <std::size_t N>
+    [[nodiscard]] Place place(const float (&plane)[2][3][N],
+                              std::uint32_t c) const noexcept {
+        glm::vec3 q;
+        float t = 0.0f, size = 0.0f;
+        for (int a = 0; a < 3; ++a) {
+            const float low = plane[0][a][c], high = plane[1][a][c];
+            q[a] = 0.5f * (low + high) - start_[a];
+            t += q[a] * towards_[a];
+            size += (high - low) * (high - low);
+        }
+        q -= t * towards_;
+        const float d = std::sqrt(q.x * q.x + q.y * q.y + q.z * q.z),
+                    radius = 0.5f * std::sqrt(size) + slack_;
+        return {d - growth_ * t > radius * secant_,
+                t > 0.0f ? d / t : std::numeric_limits<float>::max()};
+    }
+
     std::array<Axis, 3> axes_;
     glm::dvec3 origin_, direction_;
+    glm::vec3 start_, towards_;  // the same
+    float growth_ = 0.0f, secant_ = 1.0f, slack_ = 0.0f;
     float reach_;
     double margin_;
 };
@@ -81,28 +109,47 @@ class GrownTree {
     }
 
     /// Calls visit(begin, end) with ranges of places in order() that together hold every
-    /// box that the ray comes near; on false it stops. `visit` may narrow the ray.
-    /// Returns the number of nodes it went through.
+    /// box that the ray comes near; on false it stops. With `nearestFirst` what is near
+    /// to the ray's middle comes early: good if `visit` narrows the ray. Returns the
+    /// number of nodes it went through.
     template <typename Visit>
-    std::size_t search(const WideRay& ray, const Visit& visit) const {
+    std::size_t search(const WideRay& ray, bool nearestFirst, const Visit& visit) const {
         if (nodes_.empty()) return 0;
-        std::array<std::uint32_t, kStack> stack;
+        std::array<Waiting, kStack> stack;
         std::size_t waiting = 0, nodes = 0;
-        stack[waiting++] = 0;
-        while (waiting > 0) {
-            const Node& node = nodes_[stack[--waiting]];
+        std::uint32_t at = 0;
+        while (true) {
+            const Node& node = nodes_[at];
             ++nodes;
             std::array<bool, kWidth> met;
             meet(node, ray, met);
-            for (std::size_t c = 0; c < kWidth; ++c) {
+            const std::size_t first = waiting;
+            for (std::uint32_t c = 0; c < kWidth; ++c) {
                 if (!met[c]) continue;
-                if (node.count[c] == 0)
-                    stack[waiting++] = node.child[c];
-                else if (!visit(node.child[c], node.child[c] + node.count[c]))
-                    return nodes;
+                Waiting child{at, c, 0.0f};
+                if (nearestFirst) {
+                    const WideRay::Place lies = ray.place(node.plane, c);
+                    if (lies.missed) continue;
+                    child.apart = lies.apart;
+                }
+                std::size_t place = waiting++;
+                for (; place > first && stack[place - 1].apart < child.apart; --place)
+                    stack[place] = stack[place - 1];
+                stack[place] = child;
+            }
+            // The next node; leaves on the way are visited.
+            for (;;) {
+                if (waiting == 0) return nodes;
+                const Waiting next = stack[--waiting];
+                const Node& parent = nodes_[next.node];
+                // The ray may have become narrower.
+                if (nearestFirst && ray.place(parent.plane, next.child).missed) continue;
+                at = parent.child[next.child];
+                const std::uint32_t count = parent.count[next.child];
+                if (count == 0) break;
+                if (!visit(std::size_t(at), std::size_t(at) + count)) return nodes;
             }
         }
-        return nodes;
     }
 
   private:
@@ -114,6 +161,10 @@ class GrownTree {
         float plane[2][3][kWidth];      // low, high
         std::uint32_t child[kWidth];    // a node, or the first box of a leaf
         std::uint32_t count[kWidth]{};  // of a leaf
+    };
+    struct Waiting {
+        std::uint32_t node, child;
+        float apart;
     };
     struct Range;
     struct Builder;

@@ -41,8 +41,6 @@ struct Triangle {
 struct Material {
     float opacity = 1.0f;
     std::optional<OpacityTexture> texture;
-    std::uint32_t firstVertex = 0;
-    std::vector<glm::vec2> uvs;  // of the mesh's vertices
 };
 
 struct StrandPoint {
@@ -110,7 +108,8 @@ ShadowView shadowView(const LightPoint& point, const PlanarReceiver& plane,
 }
 
 struct ShadowCasters::Content {
-    std::vector<glm::dvec3> vertices;  // world
+    std::vector<glm::dvec3> vertices;  // world, in the order in which triangles use them
+    std::vector<glm::vec2> uvs;        // of the vertices, or none
     std::vector<Triangle> triangles;   // in the order of their tree
     std::vector<Material> materials;   // per mesh
     ChunkTree triangleTree;
@@ -123,6 +122,7 @@ struct ShadowCasters::Content {
     Status add(const StrandsView& view);
     Status add(const VolumeView& volume);
     void plantTrees();
+    void sortVertices();
 };
 
 namespace {
@@ -145,10 +145,11 @@ Status ShadowCasters::Content::add(const MeshView& mesh) {
     if (!hasRoom(triangles.size(), mesh.triangleCount)) return tooMany("triangles");
     Material material;
     material.opacity = mesh.opacity;
-    material.firstVertex = std::uint32_t(vertices.size());
+    const auto first = std::uint32_t(vertices.size());
     if (textured && mesh.texture->translucent()) {
         material.texture = *mesh.texture;
-        material.uvs.assign(mesh.uvs, mesh.uvs + mesh.vertexCount);
+        uvs.resize(vertices.size());
+        uvs.insert(uvs.end(), mesh.uvs, mesh.uvs + mesh.vertexCount);
     } else if (textured) {
         material.opacity = 1.0f;
     }
@@ -158,7 +159,7 @@ Status ShadowCasters::Content::add(const MeshView& mesh) {
         Triangle t;
         bool finite = true;
         for (std::size_t c = 0; c < 3; ++c) {
-            t.corner[c] = material.firstVertex + mesh.indices[3 * i + c];
+            t.corner[c] = first + mesh.indices[3 * i + c];
             finite = finite && base::isFinite(vertices[t.corner[c]]);
         }
         t.mesh = std::uint32_t(materials.size());
@@ -219,6 +220,7 @@ void ShadowCasters::Content::plantTrees() {
         return box;
     });
     reorder(triangles, triangleTree);
+    sortVertices();
     segmentTree = ChunkTree(segments.size(), [&](std::size_t i) {
         Box box;
         for (const std::uint32_t at : {segments[i] - 1, segments[i]}) {
@@ -229,6 +231,28 @@ void ShadowCasters::Content::plantTrees() {
         return box;
     });
     reorder(segments, segmentTree);
+}
+
+/// So that drawing reads them one after another; those of no triangle are left out.
+void ShadowCasters::Content::sortVertices() {
+    constexpr std::uint32_t kUnused = 0xffffffffu;
+    std::vector<std::uint32_t> place(vertices.size(), kUnused);
+    std::vector<glm::dvec3> sorted;
+    std::vector<glm::vec2> sortedUvs;
+    for (Triangle& t : triangles) {
+        for (std::uint32_t& corner : t.corner) {
+            if (place[corner] == kUnused) {
+                place[corner] = std::uint32_t(sorted.size());
+                sorted.push_back(vertices[corner]);
+                if (!uvs.empty())
+                    sortedUvs.push_back(corner < uvs.size() ? uvs[corner]
+                                                            : glm::vec2(0.0f));
+            }
+            corner = place[corner];
+        }
+    }
+    vertices = std::move(sorted);
+    uvs = std::move(sortedUvs);
 }
 
 ShadowCasters::ShadowCasters(std::unique_ptr<Content> content)
@@ -330,6 +354,34 @@ class Canvas {
     std::vector<raster::PreparedTriangle> prepared_;
 };
 
+/// Projected corners that were used lately: along the tree's curve triangles share them.
+template <ProjectionKind kind>
+class Corners {
+  public:
+    Corners(const ShadowView& view, const Canvas<kind>& canvas,
+            const std::vector<glm::dvec3>& vertices)
+        : view_(view), canvas_(canvas), vertices_(vertices) {
+        held_.fill(kNone);
+    }
+    const raster::Vertex& operator()(std::uint32_t vertex) noexcept {
+        const std::size_t place = vertex % kPlaces;
+        if (held_[place] != vertex) {
+            held_[place] = vertex;
+            corners_[place] = canvas_.vertex(view_(vertices_[vertex]));
+        }
+        return corners_[place];
+    }
+
+  private:
+    static constexpr std::size_t kPlaces = 256;
+    static constexpr std::uint32_t kNone = 0xffffffffu;
+    const ShadowView& view_;
+    const Canvas<kind>& canvas_;
+    const std::vector<glm::dvec3>& vertices_;
+    std::array<std::uint32_t, kPlaces> held_;
+    std::array<raster::Vertex, kPlaces> corners_;
+};
+
 /// Half of a strand's width at point i, across it and across the light's rays: the same
 /// for both segments that meet there, so that their ribbons share an edge.
 glm::dvec3 ribbonSide(const std::vector<StrandPoint>& points, std::size_t i,
@@ -352,27 +404,25 @@ template <ProjectionKind kind>
 static std::uint64_t drawAll(const ShadowView& view, Canvas<kind>& canvas,
                              std::span<const HalfSpace> region,
                              const std::vector<glm::dvec3>& vertices,
+                             const std::vector<glm::vec2>& uvs,
                              const std::vector<Triangle>& triangles,
                              const std::vector<Material>& materials,
                              const ChunkTree& tree) {
     std::uint64_t looked = 0;
+    Corners<kind> corners(view, canvas, vertices);
     tree.visit(region, [&](std::size_t begin, std::size_t end) {
         looked += end - begin;
         for (std::size_t i = begin; i < end; ++i) {
             const Triangle& t = triangles[i];
             const Material& material = materials[t.mesh];
-            const raster::Vertex v[3] = {canvas.vertex(view(vertices[t.corner[0]])),
-                                         canvas.vertex(view(vertices[t.corner[1]])),
-                                         canvas.vertex(view(vertices[t.corner[2]]))};
+            const raster::Vertex v[3] = {corners(t.corner[0]), corners(t.corner[1]),
+                                         corners(t.corner[2])};
             if (!material.texture) {
                 canvas.draw(v, material.opacity);
                 continue;
             }
-            const glm::vec2* const uvs = material.uvs.data();
-            const std::uint32_t first = material.firstVertex;
             canvas.draw(v, *material.texture,
-                        {uvs[t.corner[0] - first], uvs[t.corner[1] - first],
-                         uvs[t.corner[2] - first]});
+                        {uvs[t.corner[0]], uvs[t.corner[1]], uvs[t.corner[2]]});
         }
     });
     return looked;
@@ -411,7 +461,7 @@ std::uint64_t ShadowCasters::draw(const ShadowView& view, std::uint32_t width,
     const std::span<const HalfSpace> region(sides.data(), cull ? sides.size() : 0);
     const Content& c = *content_;
     const auto drawOn = [&](auto canvas) {
-        return drawAll(view, canvas, region, c.vertices, c.triangles, c.materials,
+        return drawAll(view, canvas, region, c.vertices, c.uvs, c.triangles, c.materials,
                        c.triangleTree) +
                drawAll(view, canvas, region, c.points, c.segments, c.segmentTree);
     };
@@ -434,15 +484,13 @@ Box ShadowCasters::bounds() const noexcept {
 }
 std::uint64_t ShadowCasters::memoryBytes() const noexcept {
     const Content& c = *content_;
-    std::uint64_t bytes = c.vertices.size() * sizeof(glm::dvec3) +
-                          c.triangles.size() * sizeof(Triangle) +
-                          c.points.size() * sizeof(StrandPoint) +
-                          c.segments.size() * sizeof(std::uint32_t) +
-                          c.triangleTree.memoryBytes() + c.segmentTree.memoryBytes();
-    for (const Material& material : c.materials) {
-        bytes += material.uvs.size() * sizeof(glm::vec2);
+    std::uint64_t bytes =
+        c.vertices.size() * sizeof(glm::dvec3) + c.uvs.size() * sizeof(glm::vec2) +
+        c.triangles.size() * sizeof(Triangle) + c.points.size() * sizeof(StrandPoint) +
+        c.segments.size() * sizeof(std::uint32_t) + c.triangleTree.memoryBytes() +
+        c.segmentTree.memoryBytes();
+    for (const Material& material : c.materials)
         if (material.texture) bytes += material.texture->memoryBytes();
-    }
     return bytes;
 }
 

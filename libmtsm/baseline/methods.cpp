@@ -7,6 +7,7 @@ namespace mtsm::baseline {
 
 const std::vector<MethodInfo>& methods() {
     static const std::vector<MethodInfo> all = {
+        embreeMethod(),        //
         mtsmMethod(),          //
         slsmMethod(),          //
         mlsmMethod(),          //

@@ -14,6 +14,7 @@ namespace mtsm::baseline {
 [[nodiscard]] Result<const MethodInfo*> findMethod(const std::string& name);
 
 // One function per row, beside its implementation.
+[[nodiscard]] MethodInfo embreeMethod();        ///< embree_method.cpp
 [[nodiscard]] MethodInfo mtsmMethod();          ///< mtsm_method.cpp
 [[nodiscard]] MethodInfo slsmMethod();          ///< opaque_map_methods.cpp
 [[nodiscard]] MethodInfo mlsmMethod();          ///< opaque_map_methods.cpp

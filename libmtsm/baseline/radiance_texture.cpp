@@ -35,12 +35,6 @@ std::array<glm::dvec3, 4> cornersOf(const PlanarReceiver& plane) {
             pointAt(plane, 1, 1)};
 }
 
-/// Height above the receiver; of a sun the sine of its elevation.
-double heightAbove(const PlanarReceiver& plane, const LightPoint& point, bool sun) {
-    return glm::dot(unitNormal(plane),
-                    sun ? point.position : point.position - plane.corner);
-}
-
 /// The grid's side for this light as this receiver sees it.
 int gridSide(const AreaLight& light, const PlanarReceiver& plane,
              const RadianceOptions& options) {
@@ -68,8 +62,8 @@ struct LightSums {
     int done = 0;                // points
     std::vector<float> visible;  // [texels], sums
     std::vector<float> facing;   // [texels] if partly: points that shine to the texel
-    std::vector<float>
-        radiance;  // [texels], of light of radiance 1; empty: not asked for
+    /// [texels], by a light of radiance 1; empty: not asked for.
+    std::vector<float> radiance;
 
     [[nodiscard]] int wanted() const { return apart ? 0 : int(points.size()); }
 };
@@ -82,6 +76,7 @@ class Work {
         : receiver_(receiver),
           lights_(lights),
           options_(options),
+          normal_(unitNormal(receiver.plane)),
           size_(textureSize(receiver, options)),
           fine_(size_ * std::uint32_t(options.supersampling)) {
         for (const RadianceLight& light : lights)
@@ -102,6 +97,11 @@ class Work {
 
   private:
     [[nodiscard]] LightSums begin(const AreaLight& light, std::uint32_t index) const;
+    /// Above the receiver; of a sun the sine of its elevation.
+    [[nodiscard]] double height(const LightPoint& point, bool sun) const {
+        return glm::dot(normal_,
+                        sun ? point.position : point.position - receiver_.plane.corner);
+    }
     void advance(const ShadowCasters& casters, LightSums& light, int end);
     void add(LightSums& light, const LightPoint& point, const float* reaches,
              std::uint32_t row) const;
@@ -116,6 +116,7 @@ class Work {
     const RadianceReceiver& receiver_;
     const std::vector<RadianceLight>& lights_;
     const RadianceOptions& options_;
+    const glm::dvec3 normal_;
     const glm::uvec2 size_, fine_;
     std::vector<LightSums> sums_;
     std::uint64_t looked_ = 0;
@@ -136,7 +137,7 @@ LightSums Work::begin(const AreaLight& light, std::uint32_t index) const {
     for (const LightPoint& point : sums.points) {
         if (!std::all_of(corners.begin(), corners.end(), shinesTo(point)))
             sums.partly = true;
-        if (heightAbove(plane, point, sums.sun) > 0.0 &&
+        if (height(point, sums.sun) > 0.0 &&
             std::any_of(corners.begin(), corners.end(), shinesTo(point)))
             apart = false;
     }
@@ -161,7 +162,7 @@ void Work::advance(const ShadowCasters& casters, LightSums& light, int end) {
         const auto first = std::size_t(light.done);
         const std::size_t count = std::min(images.size(), std::size_t(end) - first);
         const auto inFront = [&](std::size_t i) {
-            return heightAbove(receiver_.plane, light.points[first + i], light.sun) > 0.0;
+            return height(light.points[first + i], light.sun) > 0.0;
         };
         base::parallelFor(std::size_t(0), count, [&](std::size_t i) {
             // Second back-face test.
@@ -192,7 +193,7 @@ void Work::advance(const ShadowCasters& casters, LightSums& light, int end) {
 /// A row of a hard shadow image, shaded [Heckbert97, eq. 2].
 void Work::add(LightSums& light, const LightPoint& point, const float* reaches,
                std::uint32_t row) const {
-    const double height = heightAbove(receiver_.plane, point, light.sun);
+    const double above = height(point, light.sun);
     const bool directed = !light.sun && point.normal != glm::dvec3(0.0);
     const std::size_t start = std::size_t(row) * fine_.x;
     const glm::dvec3 from = texel(0, row) - point.position,
@@ -206,7 +207,7 @@ void Work::add(LightSums& light, const LightPoint& point, const float* reaches,
         light.visible[at] += reaches[at];
         if (light.partly) light.facing[at] += 1.0f;
         if (light.radiance.empty()) continue;
-        double weight = height;
+        double weight = above;
         if (!light.sun) {
             const double r2 = glm::dot(d, d);
             weight *= directed ? atLight / (r2 * r2) : 1.0 / (r2 * std::sqrt(r2));

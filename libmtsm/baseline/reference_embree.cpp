@@ -10,6 +10,7 @@
 #include <glm/matrix.hpp>
 #include <glm/vec4.hpp>
 #include <limits>
+#include <numeric>
 #include <vector>
 
 #include "base/finite.h"
@@ -17,11 +18,16 @@
 #include "base/parallel.h"
 #include "base/sampling.h"
 #include "baseline/crossings.h"
+#include "baseline/shadow_rays.h"
 #include "baseline/volume_depth.h"
 #include "light/sample.h"
 
 namespace mtsm::baseline {
 namespace {
+
+/// Rays enough for a stream of their own; fewer wait for those of the next point.
+constexpr std::size_t kEnoughRays = 16;
+constexpr std::size_t kLookBlock = 64;  // points that a thread takes at once
 
 /// What Embree holds, in bytes.
 struct Memory {
@@ -45,6 +51,40 @@ std::uint64_t bytesOf(const std::vector<T>& values) {
 Error noMemory(const char* kind, std::size_t count, const char* parts) {
     return base::makeError(ErrorCode::tooLarge, "Embree has no memory for ", kind, " of ",
                            count, " ", parts);
+}
+
+constexpr std::size_t kPacketRays = 16;
+
+/// Up to 16 rays of a stream as a packet. That is faster than a stream where origins
+/// differ or frustums are of no use.
+void tracePacket(RTCScene scene, const RayStream& s, std::size_t first,
+                 ShadowContext& context, float* reach) {
+    const std::size_t n = std::min(kPacketRays, s.count - first);
+    alignas(64) RTCRay16 p{};
+    alignas(64) int valid[kPacketRays] = {};
+    std::fill_n(valid, n, -1);
+    std::copy_n(s.orgX + first, n, p.org_x);
+    std::copy_n(s.orgY + first, n, p.org_y);
+    std::copy_n(s.orgZ + first, n, p.org_z);
+    std::copy_n(s.dirX + first, n, p.dir_x);
+    std::copy_n(s.dirY + first, n, p.dir_y);
+    std::copy_n(s.dirZ + first, n, p.dir_z);
+    std::copy_n(s.length + first, n, p.tfar);
+    std::fill_n(p.mask, n, ~0u);
+    std::iota(p.id, p.id + n, unsigned(first));
+    rtcOccluded16(valid, scene, &context, &p);
+    std::copy_n(p.tfar, n, reach + first);
+}
+
+/// What a sample counts.
+double weightOf(const light::LightSampler& sampler, const LightLook& look,
+                std::uint32_t sample, Weight weight) {
+    if (weight == Weight::uniform || look.normal == glm::dvec3(0.0)) return 1.0;
+    const light::LightSample s =
+        sampler.sample(look.point, base::SquareSequence(look.key)(sample));
+    const double reach = glm::length(s.delta);
+    if (!(reach > 0.0)) return 0.0;
+    return std::max(0.0, glm::dot(s.delta, look.normal) / reach) * s.weight;
 }
 
 }  // namespace
@@ -77,9 +117,13 @@ struct EmbreeReference::Scene {
     void attach(RTCGeometry geometry, bool strands);
     [[nodiscard]] glm::vec3 visibility(glm::dvec3 from, glm::dvec3 delta, bool endless,
                                        bool color) const noexcept;
-    [[nodiscard]] glm::vec3 shadow(const light::LightSampler& sampler, glm::dvec3 point,
-                                   glm::dvec3 normal, bool color,
-                                   const ReferenceOptions& options) const noexcept;
+    void trace(RayStream& stream, ShadowContext& context) const noexcept;
+    [[nodiscard]] float throughVolumes(const RayStream& stream,
+                                       std::size_t ray) const noexcept;
+    void look(const light::LightSampler& sampler, const LightLook* looks,
+              std::size_t lookCount, const std::uint32_t* order, std::size_t count,
+              LightSeen* seen, bool color,
+              const ReferenceOptions& options) const noexcept;
     template <typename Out>
     void shadows(const AreaLight& light, const glm::dvec3* points,
                  const glm::dvec3* normals, std::size_t count, bool color,
@@ -217,47 +261,102 @@ glm::vec3 EmbreeReference::Scene::visibility(glm::dvec3 from, glm::dvec3 delta,
     ray.dir_z = float(delta.z / length);
     ray.tfar = endless ? std::numeric_limits<float>::infinity() : float(length);
     ray.mask = ~0u;
-    context.reach = ray.tfar;
+    context.visible[0] = glm::vec3(1.0f);
+    context.reach[0] = ray.tfar;
     rtcOccluded1(scene, &context, &ray);
     if (ray.tfar < 0.0f) return glm::vec3(0.0f);
     double depth = 0.0;
     for (const VolumeDepth& volume : volumes)
         depth += volume.along(from, delta, endless);
-    return context.visible * float(std::exp(-depth));
+    return context.visible[0] * float(std::exp(-depth));
 }
 
-/// One point's shadow factor, per channel.
-glm::vec3 EmbreeReference::Scene::shadow(const light::LightSampler& sampler,
-                                         glm::dvec3 point, glm::dvec3 normal, bool color,
-                                         const ReferenceOptions& options) const noexcept {
-    if (!base::isFinite(point) || sampler.isBehind(point)) return glm::vec3(0.0f);
-    const double offset = options.offset * glm::length(high - low);
-    const auto samples = sampler.isPoint()
-                             ? 1u
-                             : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
-    const double length = glm::length(normal);
-    if (length > 0.0) normal /= length;
-    const base::SquareSequence sequence(base::pointKey(point, options.seed));
-    glm::dvec3 visible(0.0);
-    double total = 0.0;
-    for (std::uint32_t s = 0; s < samples; ++s) {
-        const light::LightSample sample =
-            sampler.sample(point, sampler.isPoint() ? glm::dvec2(0.5) : sequence(s));
-        const double reach = glm::length(sample.delta);
-        if (!(reach > 0.0)) continue;
-        const double cosine = length > 0.0 ? glm::dot(sample.delta, normal) / reach : 1.0;
-        const double weight = options.weight == Weight::cosine && length > 0.0
-                                  ? std::max(0.0, cosine) * sample.weight
-                                  : 1.0;
-        total += weight;
-        if (cosine <= 0.0) continue;
-        const glm::dvec3 start = offset * (length > 0.0 ? normal : sample.delta / reach);
-        const glm::dvec3 delta =
-            sample.delta - (sample.endless ? glm::dvec3(0.0) : start);
-        visible +=
-            weight * glm::dvec3(visibility(point + start, delta, sample.endless, color));
+/// Leaves in the context what each ray of the stream sees.
+void EmbreeReference::Scene::trace(RayStream& s, ShadowContext& context) const noexcept {
+    alignas(64) float zero[kStreamRays] = {}, reach[kStreamRays];
+    alignas(64) std::uint32_t mask[kStreamRays], id[kStreamRays], flags[kStreamRays] = {};
+    for (std::size_t i = 0; i < s.count; ++i) {
+        mask[i] = ~0u;
+        id[i] = std::uint32_t(i);
+        reach[i] = context.reach[i] = s.length[i];
+        context.visible[i] = glm::vec3(1.0f);
     }
-    return total > 0.0 ? glm::vec3(1.0 - visible / total) : glm::vec3(1.0f);
+    const bool coherent = context.flags == RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+    if (!coherent || (s.count <= kPacketRays && s.owner[0] != s.owner[s.count - 1])) {
+        for (std::size_t i = 0; i < s.count; i += kPacketRays)
+            tracePacket(scene, s, i, context, reach);
+    } else {
+        RTCRayNp rays{s.orgX, s.orgY, s.orgZ, zero, s.dirX, s.dirY,
+                      s.dirZ, zero,   reach,  mask, id,     flags};
+        rtcOccludedNp(scene, &context, &rays, unsigned(s.count));
+    }
+    for (std::size_t i = 0; i < s.count; ++i) {
+        if (reach[i] < 0.0f)
+            context.visible[i] = glm::vec3(0.0f);
+        else if (!volumes.empty())
+            context.visible[i] *= throughVolumes(s, i);
+    }
+}
+
+float EmbreeReference::Scene::throughVolumes(const RayStream& s,
+                                             std::size_t i) const noexcept {
+    const bool endless = std::isinf(s.length[i]);
+    const glm::dvec3 from = origin + glm::dvec3(s.orgX[i], s.orgY[i], s.orgZ[i]);
+    const glm::dvec3 delta = glm::dvec3(s.dirX[i], s.dirY[i], s.dirZ[i]) *
+                             (endless ? 1.0 : double(s.length[i]));
+    double depth = 0.0;
+    for (const VolumeDepth& volume : volumes)
+        depth += volume.along(from, delta, endless);
+    return float(std::exp(-depth));
+}
+
+void EmbreeReference::Scene::look(const light::LightSampler& sampler,
+                                  const LightLook* looks, std::size_t lookCount,
+                                  const std::uint32_t* order, std::size_t count,
+                                  LightSeen* seen, bool color,
+                                  const ReferenceOptions& options) const noexcept {
+    const double offset = options.offset * glm::length(high - low);
+    ShadowContext context;
+    rtcInitIntersectContext(&context);
+    // Coherent traversal may find a hit twice (seen where the tree is a single leaf): it
+    // is for casters that end a ray at once.
+    context.flags = meshes.empty() && strands.empty()
+                        ? RTC_INTERSECT_CONTEXT_FLAG_COHERENT
+                        : RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
+    context.color = color;
+    RayStream stream;
+    const auto flush = [&] {
+        trace(stream, context);
+        for (std::size_t i = 0; i < stream.count; ++i) {
+            const LightLook& from = looks[stream.owner[i]];
+            LightSeen& to = seen[stream.owner[i]];
+            const glm::vec3 v = context.visible[i];
+            to.visible +=
+                weightOf(sampler, from, stream.sample[i], options.weight) * glm::dvec3(v);
+            to.clear += v == glm::vec3(1.0f);
+            to.dark += v == glm::vec3(0.0f);
+        }
+        stream.count = 0;
+    };
+    for (std::size_t l = 0; l < lookCount; ++l) {
+        const PointRays rays(sampler, looks[l].point, looks[l].normal, origin, offset);
+        const base::SquareSequence sequence(looks[l].key);
+        for (std::size_t done = 0; done < count;) {
+            std::uint32_t index[kStreamRays];
+            const std::size_t n = std::min(stream.room(), count - done);
+            for (std::size_t k = 0; k < n; ++k) {
+                index[k] = looks[l].first + order[done + k];
+                seen[l].total += weightOf(sampler, looks[l], index[k], options.weight);
+            }
+            const std::size_t before = stream.count;
+            rays.append(sequence, index, n, std::uint32_t(l), stream);
+            seen[l].dark += std::uint32_t(n - (stream.count - before));
+            done += n;
+            if (stream.count >= kEnoughRays && (done == count || stream.room() == 0))
+                flush();
+        }
+    }
+    if (stream.count > 0) flush();
 }
 
 template <typename Out>
@@ -266,12 +365,35 @@ void EmbreeReference::Scene::shadows(const AreaLight& light, const glm::dvec3* p
                                      bool color, const ReferenceOptions& options,
                                      const Out& out) const noexcept {
     const light::LightSampler sampler(light);
-    base::parallelRanges(
-        std::size_t(0), count, std::size_t(64), [&](std::size_t begin, std::size_t end) {
-            for (std::size_t i = begin; i < end; ++i)
-                out(i, shadow(sampler, points[i], normals ? normals[i] : glm::dvec3(0.0),
-                              color, options));
-        });
+    const auto samples = sampler.isPoint()
+                             ? 1u
+                             : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
+    const std::vector<std::uint32_t> order = neighbourOrder(0, samples);
+    // Blocks do not depend on the number of threads: neither do the streams.
+    const std::size_t blocks = (count + kLookBlock - 1) / kLookBlock;
+    base::parallelFor(std::size_t(0), blocks, [&](std::size_t block) {
+        LightLook looks[kLookBlock];
+        LightSeen seen[kLookBlock];
+        std::size_t at[kLookBlock], n = 0;
+        const std::size_t begin = block * kLookBlock,
+                          end = std::min(count, begin + kLookBlock);
+        for (std::size_t i = begin; i < end; ++i) {
+            if (!base::isFinite(points[i]) || sampler.isBehind(points[i])) {
+                out(i, glm::vec3(0.0f));
+                continue;
+            }
+            glm::dvec3 normal = normals ? normals[i] : glm::dvec3(0.0);
+            const double length = glm::length(normal);
+            if (length > 0.0) normal /= length;
+            at[n] = i;
+            looks[n++] = {points[i], normal, base::pointKey(points[i], options.seed), 0};
+        }
+        look(sampler, looks, n, order.data(), order.size(), seen, color, options);
+        for (std::size_t k = 0; k < n; ++k)
+            out(at[k], seen[k].total > 0.0
+                           ? glm::vec3(1.0 - seen[k].visible / seen[k].total)
+                           : glm::vec3(1.0f));
+    });
 }
 
 EmbreeReference::EmbreeReference(std::unique_ptr<Scene> scene)
@@ -287,7 +409,9 @@ Result<EmbreeReference> EmbreeReference::build(CasterSource& casters) {
         return Error{ErrorCode::unsupported, "Embree cannot start on this machine"};
     rtcSetDeviceMemoryMonitorFunction(scene->device, countMemory, &scene->memory);
     scene->scene = rtcNewScene(scene->device);
-    // Not HIGH: spatial splits would count a transparent triangle twice.
+    // Measured (tests/bench/NOTES.md): HIGH gains nothing, and its spatial splits would
+    // count a transparent triangle twice; ROBUST costs a tenth at most; COMPACT costs a
+    // third, and together with ROBUST it does not come back.
     rtcSetSceneBuildQuality(scene->scene, RTC_BUILD_QUALITY_MEDIUM);
     rtcSetSceneFlags(scene->scene, RTC_SCENE_FLAG_ROBUST);
     const Status read = casters.visit([&](const CasterView& caster) {
@@ -322,6 +446,13 @@ std::uint64_t EmbreeReference::memoryBytes() const noexcept {
 std::uint64_t EmbreeReference::peakBytes() const noexcept {
     return memoryBytes() +
            std::uint64_t(scene_->memory.peak.load() - scene_->memory.now.load());
+}
+
+void EmbreeReference::look(const light::LightSampler& sampler, const LightLook* looks,
+                           std::size_t lookCount, const std::uint32_t* order,
+                           std::size_t count, LightSeen* seen, bool color,
+                           const ReferenceOptions& options) const noexcept {
+    scene_->look(sampler, looks, lookCount, order, count, seen, color, options);
 }
 
 glm::vec3 EmbreeReference::visibility(glm::dvec3 from, glm::dvec3 delta, bool endless,

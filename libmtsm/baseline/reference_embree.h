@@ -21,6 +21,7 @@
 #include <memory>
 #include <optional>
 
+#include "light/sample.h"
 #include "mtsm/light.h"
 #include "mtsm/result.h"
 #include "mtsm/scene.h"
@@ -35,6 +36,22 @@ struct ReferenceOptions {
     /// Rays start this far from the receiver, along its normal if there is one, as a
     /// share of the diagonal of the casters' bounds.
     double offset = 1e-5;
+};
+
+/// A point that looks at a light: at samples first + order[0..count) of its sequence.
+struct LightLook {
+    glm::dvec3 point{0.0};
+    glm::dvec3 normal{0.0};  ///< unit; zero: none
+    std::uint64_t key = 0;   ///< of the sequence
+    std::uint32_t first = 0;
+};
+
+/// What it saw there.
+struct LightSeen {
+    glm::dvec3 visible{0.0};  ///< sum of weight times visibility, per channel
+    double total = 0.0;       ///< sum of weights
+    std::uint32_t clear = 0;  ///< samples with a visibility of 1
+    std::uint32_t dark = 0;   ///< with 0, those below the horizon among them
 };
 
 class EmbreeReference {
@@ -64,6 +81,15 @@ class EmbreeReference {
     void shadowFactors(const AreaLight& light, const glm::dvec3* points,
                        const glm::dvec3* normals, std::size_t count, glm::vec3* out,
                        const ReferenceOptions& options = {}) const noexcept;
+    /// Adds to seen[i] what looks[i] sees of the samples first + order[0..count), for
+    /// `lookCount` looks that follow each other in a picture: rays to few samples share
+    /// streams with those of the next look. `order` is best from neighbourOrder(). On the
+    /// caller's thread; the same looks give the same sums, bit by bit. Of the options
+    /// `weight` and `offset` count.
+    void look(const light::LightSampler& sampler, const LightLook* looks,
+              std::size_t lookCount, const std::uint32_t* order, std::size_t count,
+              LightSeen* seen, bool color,
+              const ReferenceOptions& options) const noexcept;
     /// What is left, per channel, of light that goes along `delta`, or on for ever in its
     /// direction if `endless`. Without `color` all three are as in shadowFactors. A ray
     /// of no length, or one that is not finite, is clear.

@@ -253,14 +253,16 @@ struct SingleSampleScene::Search {
     }
 
     double run() {
-        nodes = scene.sphereTree_.search(wide, [&](std::size_t begin, std::size_t end) {
-            return visitSpheres(begin, end);
-        });
+        const bool narrows = options.compose == Compose::minimum && ray.growth > 0.0 &&
+                             options.bounds == GrownBounds::cone;
+        nodes = scene.sphereTree_.search(
+            wide, narrows,
+            [&](std::size_t begin, std::size_t end) { return visitSpheres(begin, end); });
         if (visible > 0.0)
-            nodes +=
-                scene.triangleTree_.search(wide, [&](std::size_t begin, std::size_t end) {
-                    return visitTriangles(begin, end);
-                });
+            nodes += scene.triangleTree_.search(wide, narrows,
+                                                [&](std::size_t begin, std::size_t end) {
+                                                    return visitTriangles(begin, end);
+                                                });
         return std::clamp(visible, 0.0, 1.0);
     }
 };

@@ -31,7 +31,9 @@
 // triangle turns through edge-on.
 //
 // The tree is grown_tree.h's. With the composition `minimum` of opaque objects the ray
-// gets narrower as soon as something is found: only what is nearer to it matters.
+// gets narrower as soon as something is found, for only what is nearer to it matters, and
+// what is near to it is looked at first. The other compositions look at every triangle
+// that the whole cone meets: of a fine mesh under a large light, thousands.
 //
 // A closed mesh must not shadow its own lit side. With a normal, only what lies above the
 // receiver's tangent plane casts; a light whose centre is below it is blocked. Without

@@ -88,6 +88,42 @@ bool LightSampler::isBehind(glm::dvec3 p) const noexcept {
     return oneSided_ && !(glm::dot(p - centre_, normal_) > 0.0);
 }
 
+LightSampler::Cap LightSampler::capSeen(glm::dvec3 p) const noexcept {
+    // p sees the cap where the sphere's normal n has n . axis > radius / distance; from
+    // inside it sees everything.
+    const glm::dvec3 toPoint = p - centre_;
+    const double distance = glm::length(toPoint);
+    Cap cap;
+    cap.outside = distance > radius_;
+    cap.axis = distance > 0.0 ? toPoint / distance : glm::dvec3(0, 0, 1);
+    cap.frame = makeFrame(cap.axis);
+    cap.height = cap.outside ? 1.0 - radius_ / distance : 2.0;
+    return cap;
+}
+
+LightView LightSampler::view(glm::dvec3 p) const noexcept {
+    using Domain = LightView::Domain;
+    if (shape_ == LightShape::sun)
+        return {Domain::cap, glm::dvec3(0.0), axisX_, axisY_, normal_, capHeight_, true};
+    if (shape_ == LightShape::sphere && !isPoint_) {
+        const Cap cap = capSeen(p);
+        return {Domain::cap,
+                centre_ - p,
+                radius_ * cap.frame.x,
+                radius_ * cap.frame.y,
+                radius_ * cap.axis,
+                cap.height,
+                false};
+    }
+    LightView seen;
+    seen.base = centre_ - p;
+    if (isPoint_) return seen;
+    seen.domain = shape_ == LightShape::disk ? Domain::disk : Domain::square;
+    seen.x = axisX_;
+    seen.y = axisY_;
+    return seen;
+}
+
 LightSample LightSampler::sample(glm::dvec3 p, glm::dvec2 u) const noexcept {
     LightSample s;
     if (shape_ == LightShape::sun) {
@@ -104,17 +140,11 @@ LightSample LightSampler::sample(glm::dvec3 p, glm::dvec2 u) const noexcept {
     } else if (shape_ == LightShape::rect) {
         onLight += (2.0 * u.x - 1.0) * axisX_ + (2.0 * u.y - 1.0) * axisY_;
     } else if (shape_ == LightShape::sphere && radius_ > 0.0) {
-        // p sees the cap where the sphere's normal n has n . axis > radius / distance;
-        // from inside it sees everything.
-        const glm::dvec3 toPoint = p - centre_;
-        const double distance = glm::length(toPoint);
-        const bool outside = distance > radius_;
-        const glm::dvec3 axis = distance > 0.0 ? toPoint / distance : glm::dvec3(0, 0, 1);
-        const Frame frame = makeFrame(axis);
-        const glm::dvec3 d = sampleCap(u, outside ? 1.0 - radius_ / distance : 2.0);
-        normal = d.x * frame.x + d.y * frame.y + d.z * axis;
+        const Cap cap = capSeen(p);
+        const glm::dvec3 d = sampleCap(u, cap.height);
+        normal = d.x * cap.frame.x + d.y * cap.frame.y + d.z * cap.axis;
         onLight += radius_ * normal;
-        cosineAtLight = outside;
+        cosineAtLight = cap.outside;
     }
     s.delta = onLight - p;
     const double d2 = glm::dot(s.delta, s.delta);

@@ -34,6 +34,16 @@ struct LightSample {
     double weight = 1.0;
 };
 
+/// A light as one point sees it, for many samples at once: sample(p, u).delta is
+/// base + a * x + b * y + c * z, where (a, b) is 2 u - 1 (square) or sampleDisk(u)
+/// (disk), or (a, b, c) is sampleCap(u, capHeight) (cap).
+struct LightView {
+    enum class Domain { square, disk, cap } domain = Domain::square;
+    glm::dvec3 base{0.0}, x{0.0}, y{0.0}, z{0.0};
+    double capHeight = 0.0;
+    bool endless = false;
+};
+
 /// An AreaLight ready to be sampled.
 class LightSampler {
   public:
@@ -46,6 +56,7 @@ class LightSampler {
     /// Uniform in area over the light (sphere: over the cap that p sees; sun: over the
     /// solid angle) for u uniform in the unit square.
     [[nodiscard]] LightSample sample(glm::dvec3 p, glm::dvec2 u) const noexcept;
+    [[nodiscard]] LightView view(glm::dvec3 p) const noexcept;
     /// Not for a sun.
     [[nodiscard]] glm::dvec3 centre() const noexcept { return centre_; }
     /// Towards the light's centre; a sun's is a unit vector.
@@ -55,6 +66,15 @@ class LightSampler {
     [[nodiscard]] LightShape shape() const noexcept { return shape_; }
 
   private:
+    /// Of a sphere, what a point sees.
+    struct Cap {
+        glm::dvec3 axis;  // unit, towards the point
+        Frame frame;
+        double height;
+        bool outside;
+    };
+    [[nodiscard]] Cap capSeen(glm::dvec3 p) const noexcept;
+
     LightShape shape_;
     bool isPoint_ = false, oneSided_ = false;
     glm::dvec3 centre_, normal_;  // normal_: unit; a sun's points towards the sun

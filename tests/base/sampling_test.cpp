@@ -55,3 +55,19 @@ TEST_CASE("neighbouring keys give unrelated points", "[base][statistical]") {
     }
     CHECK(std::abs(sum / n) < 5.0 / (12.0 * std::sqrt(double(n))));
 }
+
+TEST_CASE("points in bulk are those one by one, rounded to float", "[base][twin]") {
+    const mtsm::base::SquareSequence sequence(0x0123456789abcdefu);
+    std::vector<std::uint32_t> index;
+    for (std::uint32_t i = 0; i < 4096; i += 41)
+        index.push_back(4095 - i);
+    for (const std::size_t count : {std::size_t(0), std::size_t(1), index.size()}) {
+        std::vector<float> x(index.size(), -1.0f), y(x);
+        sequence.points(index.data(), count, x.data(), y.data());
+        for (std::size_t k = 0; k < index.size(); ++k) {
+            const glm::dvec2 expected = sequence(index[k]);
+            CHECK(x[k] == (k < count ? Approx(expected.x).margin(1e-7) : Approx(-1.0)));
+            CHECK(y[k] == (k < count ? Approx(expected.y).margin(1e-7) : Approx(-1.0)));
+        }
+    }
+}

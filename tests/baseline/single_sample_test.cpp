@@ -312,9 +312,10 @@ TEST_CASE("the tree finds what a search through all objects finds",
     for (int i = 0; i < 300; ++i)
         spheres.push_back({random.inCube(1.0), 0.002 + 0.03 * random.unit()});
     const SingleSampleScene scene = sceneOf({mesh.view()}, spheres);
-    const AreaLight light = sphereLight({0.4, 1.3, -0.2}, 0.02);
+    const double radius = GENERATE(0.02, 0.7);
+    const AreaLight light = sphereLight({0.4, 1.3, -0.2}, radius);
     std::vector<glm::dvec3> points;
-    for (int i = 0; i < 1500; ++i)
+    for (int i = 0; i < 800; ++i)
         points.push_back(random.inCube(i % 5 ? 1.3 : 20.0));
     for (const bool hard : {false, true}) {
         std::vector<std::array<double, 3>> expected;  // minimum, product, sum
@@ -353,7 +354,7 @@ TEST_CASE("the tree finds what a search through all objects finds",
                     CHECK(found[c][i] == Approx(expected[i][c]).margin(1e-6));
                 soft += found[0][i] > 0.0f && found[0][i] < 1.0f;
             }
-            if (!hard) CHECK(soft > 200);
+            if (!hard) CHECK(soft > 100);
         }
     }
 }
