@@ -500,7 +500,7 @@ class BadInput(Compare):
     def test_usage(self):
         for arguments, *words in (
                 (["--method", "mtms"], "--method", 'no method "mtms"; did you mean "mtsm"?'),
-                (["--method", "photons"], "--method", '"photons"; there are mtsm'),
+                (["--method", "photons"], "--method", '"photons"; there are ', " mtsm, "),
                 (["--points", 3], "--points", "found 3"),
                 (["--points", 0], "--points"),
                 (["--image", "0"], "--image"),
