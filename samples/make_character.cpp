@@ -11,7 +11,6 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -22,6 +21,7 @@
 #include <string>
 #include <vector>
 
+#include "ply_text.h"
 #include "write_file.h"
 
 namespace {
@@ -173,28 +173,6 @@ Mesh makeCharacter(std::uint64_t triangles) {
     return mesh;
 }
 
-// --- the file
-// --------------------------------------------------------------------------
-
-static_assert(std::endian::native == std::endian::little && sizeof(glm::vec3) == 12);
-
-std::string plyOf(const Mesh& mesh) {
-    std::string text =
-        "ply\nformat binary_little_endian 1.0\ncomment mtsm-make-character\nelement "
-        "vertex " +
-        std::to_string(mesh.positions.size()) +
-        "\nproperty float x\nproperty float y\nproperty float z\nelement face " +
-        std::to_string(mesh.indices.size() / 3) +
-        "\nproperty list uchar uint vertex_indices\nend_header\n";
-    text.append(reinterpret_cast<const char*>(mesh.positions.data()),
-                mesh.positions.size() * sizeof(glm::vec3));
-    for (std::size_t i = 0; i < mesh.indices.size(); i += 3) {
-        text += '\3';
-        text.append(reinterpret_cast<const char*>(&mesh.indices[i]), 12);
-    }
-    return text;
-}
-
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -222,7 +200,8 @@ int main(int argc, char** argv) {
 
     openvdb::initialize();
     const Mesh mesh = makeCharacter(triangles);
-    const std::string problem = writeFile(output, plyOf(mesh));
+    const std::string problem =
+        writeFile(output, plyOf("mtsm-make-character", mesh.positions, mesh.indices));
     if (!problem.empty()) {
         std::fprintf(stderr, "mtsm-make-character: %s: cannot be written: %s\n",
                      output.c_str(), problem.c_str());

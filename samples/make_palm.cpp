@@ -9,7 +9,6 @@
 // the groups "trunk" and "blades" if its name says so.
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -20,6 +19,7 @@
 #include <string>
 #include <vector>
 
+#include "ply_text.h"
 #include "write_file.h"
 
 namespace {
@@ -163,24 +163,6 @@ Mesh makePalm(std::uint64_t triangles) {
 
 // --- the file ------------------------------------------------------------------------
 
-static_assert(std::endian::native == std::endian::little && sizeof(glm::vec3) == 12);
-
-std::string plyOf(const Mesh& mesh) {
-    std::string text =
-        "ply\nformat binary_little_endian 1.0\ncomment mtsm-make-palm\nelement vertex " +
-        std::to_string(mesh.positions.size()) +
-        "\nproperty float x\nproperty float y\nproperty float z\nelement face " +
-        std::to_string(mesh.indices.size() / 3) +
-        "\nproperty list uchar uint vertex_indices\nend_header\n";
-    text.append(reinterpret_cast<const char*>(mesh.positions.data()),
-                mesh.positions.size() * sizeof(glm::vec3));
-    for (std::size_t i = 0; i < mesh.indices.size(); i += 3) {
-        text += '\3';
-        text.append(reinterpret_cast<const char*>(&mesh.indices[i]), 12);
-    }
-    return text;
-}
-
 std::string objOf(const Mesh& mesh) {
     std::string text = "# mtsm-make-palm\n";
     char line[96];
@@ -226,7 +208,9 @@ int main(int argc, char** argv) {
 
     const Mesh mesh = makePalm(triangles);
     const bool obj = std::filesystem::path(output).extension() == ".obj";
-    const std::string problem = writeFile(output, obj ? objOf(mesh) : plyOf(mesh));
+    const std::string problem =
+        writeFile(output, obj ? objOf(mesh)
+                              : plyOf("mtsm-make-palm", mesh.positions, mesh.indices));
     if (!problem.empty()) {
         std::fprintf(stderr, "mtsm-make-palm: %s: cannot be written: %s\n",
                      output.c_str(), problem.c_str());

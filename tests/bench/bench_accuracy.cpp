@@ -17,9 +17,9 @@
 #include <map>
 #include <optional>
 
-#include "accuracy/errors.h"
 #include "accuracy/receivers.h"
 #include "accuracy/sources.h"
+#include "baseline/errors.h"
 #include "baseline/reference_embree.h"
 #include "mtsm/bake.h"
 #include "mtsm/scene.h"
@@ -30,7 +30,7 @@ namespace {
 
 using namespace mtsm;
 using baseline::EmbreeReference;
-using bench::Errors;
+using baseline::Errors;
 using bench::Receivers;
 
 struct Options {
@@ -66,10 +66,32 @@ struct Probe {
     std::vector<float> truth;
 };
 
+/// The means of values[first[i]] to values[first[i + 1]].
+std::vector<float> means(const std::vector<float>& values,
+                         const std::vector<std::size_t>& first) {
+    std::vector<float> means;
+    for (std::size_t i = 0; i + 1 < first.size(); ++i) {
+        double sum = 0.0;
+        for (std::size_t k = first[i]; k < first[i + 1]; ++k)
+            sum += values[k];
+        means.push_back(float(sum / double(first[i + 1] - first[i])));
+    }
+    return means;
+}
+
+/// The mean error where the truth is not 0.
+double inShadow(const std::vector<float>& found, const std::vector<float>& truth) {
+    std::vector<std::uint8_t> dark(truth.size());
+    for (std::size_t i = 0; i < truth.size(); ++i)
+        dark[i] = truth[i] > 0.0f;
+    return baseline::measureErrors(found, truth, dark).mean;
+}
+
 /// Errors by point and, where there are pixels, by pixel.
 struct Row {
     std::string method;
     Errors point;
+    double inShadow = 0.0;  // by point
     std::optional<Errors> pixel;
     double microseconds = 0.0;  // per point, all threads at work
 };
@@ -81,12 +103,13 @@ class Table {
 
     void add(const std::string& method, const Probe& probe, const std::string& set,
              const std::vector<float>& found, double time) {
-        Row row{method, bench::compare(found, probe.truth), std::nullopt,
+        Row row{method, baseline::measureErrors(found, probe.truth),
+                inShadow(found, probe.truth), std::nullopt,
                 1e6 * time / double(found.size())};
         const auto& first = probe.at->first;
         if (!first.empty())
-            row.pixel = bench::compare(bench::means(found, first),
-                                       bench::means(probe.truth, first));
+            row.pixel =
+                baseline::measureErrors(means(found, first), means(probe.truth, first));
         if (!rows_.count(set)) sets_.push_back(set);
         rows_[set].push_back(row);
     }
@@ -106,7 +129,7 @@ class Table {
     static void printRow(const std::string& set, const Row& row) {
         const Errors& e = row.point;
         std::printf("%-20s %-30s | %8.5f %8.5f %+8.5f %8.5f %9.5f | ", set.c_str(),
-                    row.method.c_str(), e.mean, e.deviation, e.bias, e.p99, e.inShadow);
+                    row.method.c_str(), e.mean, e.deviation, e.bias, e.p99, row.inShadow);
         if (row.pixel)
             std::printf("%8.5f %8.5f %+8.5f %8.5f", row.pixel->mean, row.pixel->deviation,
                         row.pixel->bias, row.pixel->p99);

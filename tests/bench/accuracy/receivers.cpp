@@ -3,12 +3,12 @@
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
+#include <glm/mat4x4.hpp>
 #include <glm/vec4.hpp>
-#include <limits>
 #include <numeric>
-#include <optional>
 
 #include "accuracy/random.h"
+#include "baseline/picture.h"
 
 namespace mtsm::bench {
 namespace {
@@ -54,86 +54,6 @@ void eachVoxel(CasterSource& casters, const Visit& visit) {
         }
         return {};
     });
-}
-
-/// What a camera's ray meets first.
-struct Seen {
-    glm::dvec3 position, normal, truth;
-    bool object = false;
-};
-
-class Camera {
-  public:
-    static constexpr int kWidth = 600, kHeight = 300;
-
-    Camera(const baseline::EmbreeReference& scene, const Stage& stage);
-    /// (x, y) in pixels.
-    [[nodiscard]] std::optional<Seen> look(double x, double y, Random& random) const;
-
-  private:
-    [[nodiscard]] std::optional<Seen> surface(glm::dvec3 ray) const;
-
-    const baseline::EmbreeReference& scene_;
-    Stage stage_;
-    glm::dvec3 eye_, forward_, right_, up_;
-    glm::dvec2 middle_{0.0};  // of the object, in units of tangents
-    double perPixel_ = 0.0;
-};
-
-Camera::Camera(const baseline::EmbreeReference& scene, const Stage& stage)
-    : scene_(scene), stage_(stage) {
-    const glm::dvec3 back = glm::normalize(glm::dvec3(0.55, 0.45, 1.0));
-    eye_ = stage.centre() + 2.5 * glm::length(stage.high - stage.low) * back;
-    forward_ = -back;
-    right_ = glm::normalize(glm::cross(forward_, glm::dvec3(0, 1, 0)));
-    up_ = glm::cross(right_, forward_);
-    // The bounds' corners fill nine tenths of the picture.
-    glm::dvec2 low(std::numeric_limits<double>::infinity()), high(-low);
-    for (int corner = 0; corner < 8; ++corner) {
-        const glm::dvec3 p =
-            glm::mix(stage.low, stage.high,
-                     glm::dvec3(corner & 1, corner >> 1 & 1, corner >> 2)) -
-            eye_;
-        const glm::dvec2 at =
-            glm::dvec2(glm::dot(p, right_), glm::dot(p, up_)) / glm::dot(p, forward_);
-        low = glm::min(low, at);
-        high = glm::max(high, at);
-    }
-    middle_ = 0.5 * (low + high);
-    perPixel_ =
-        std::max((high.x - low.x) / (0.9 * kWidth), (high.y - low.y) / (0.9 * kHeight));
-}
-
-std::optional<Seen> Camera::surface(glm::dvec3 ray) const {
-    if (const auto hit = scene_.firstHit(eye_, ray)) {
-        if (!hit->strand) return Seen{hit->position, hit->normal, hit->position, true};
-        return Seen{hit->position, glm::dvec3(0.0),
-                    hit->position + kOffStrand * stage_.size() * hit->normal, true};
-    }
-    if (!(ray.y < 0.0)) return std::nullopt;
-    const glm::dvec3 floor = eye_ + (stage_.low.y - eye_.y) / ray.y * ray;
-    const glm::dvec3 aside = glm::abs(floor - stage_.centre());
-    if (std::max(aside.x, aside.z) > 1.5 * stage_.size()) return std::nullopt;
-    return Seen{floor, {0, 1, 0}, floor, false};
-}
-
-std::optional<Seen> Camera::look(double x, double y, Random& random) const {
-    const glm::dvec2 at =
-        middle_ + perPixel_ * glm::dvec2(x - 0.5 * kWidth, 0.5 * kHeight - y);
-    const glm::dvec3 ray = glm::normalize(forward_ + at.x * right_ + at.y * up_);
-    const auto seen = surface(ray);
-    // Up to the surface there is nothing but volumes.
-    const double reach = seen ? (1 - 1e-7) * glm::distance(eye_, seen->position)
-                              : 10 * glm::distance(eye_, stage_.centre());
-    const auto passes = [&](double t) { return scene_.visibility(eye_, t * ray).x; };
-    const double left = random(0, 1);
-    if (passes(reach) > left) return seen;
-    double near = 0.0, far = reach;
-    for (int i = 0; i < 50; ++i) {
-        const double middle = 0.5 * (near + far);
-        (passes(middle) > left ? near : far) = middle;
-    }
-    return Seen{eye_ + far * ray, glm::dvec3(0.0), eye_ + far * ray, true};
 }
 
 }  // namespace
@@ -248,41 +168,42 @@ Receivers inVolumes(CasterSource& casters, std::size_t count) {
 
 Picture takePicture(const baseline::EmbreeReference& scene, const Stage& stage,
                     std::size_t pixels) {
-    constexpr int kSide = 4;  // rays per side of a pixel
-    const Camera camera(scene, stage);
-    Random random(4);
-    std::vector<int> order(std::size_t(Camera::kWidth) * Camera::kHeight);
-    std::iota(order.begin(), order.end(), 0);
+    const glm::vec3 corners[] = {{-1, 0, -1}, {1, 0, -1}, {1, 0, 1}, {-1, 0, 1}};
+    const std::uint32_t indices[] = {0, 2, 1, 0, 3, 2};
+    MeshView square;
+    square.positions = corners;
+    square.vertexCount = 4;
+    square.indices = indices;
+    square.triangleCount = 2;
+    const double half = 1.5 * stage.size();
+    square.worldFromObject = glm::dmat4(
+        glm::dvec4(half, 0, 0, 0), glm::dvec4(0, 1, 0, 0), glm::dvec4(0, 0, half, 0),
+        glm::dvec4(stage.centre().x, stage.low.y, stage.centre().z, 1));
+    CasterViews floor({square});
+    const auto seenFloor = baseline::EmbreeReference::build(floor);
+    auto camera = baseline::Camera::framing(stage.low, stage.high);
+    camera.pointsPerSide = 4;
+    const baseline::Picture all =
+        baseline::takePicture(camera, scene, seenFloor ? &*seenFloor : nullptr);
+
     Picture picture;
     picture.object.name = "object px";
     picture.floor.name = "floor px";
     picture.object.first = picture.floor.first = {0};
-    std::size_t onObject = 0, visited = 0;
+    Random random(4);
+    std::vector<std::size_t> order(all.pixels());
+    std::iota(order.begin(), order.end(), std::size_t(0));
     for (std::size_t k = 0; k < order.size(); ++k) {
-        const auto full = [&](const Receivers& r) { return r.first.size() > pixels; };
-        if (full(picture.object) && full(picture.floor)) break;
         std::swap(order[k], order[k + random.below(order.size() - k)]);
-        std::vector<Seen> seen;
-        for (int ray = 0; ray < kSide * kSide; ++ray) {
-            const double x = (ray % kSide + random(0, 1)) / kSide,
-                         y = (ray / kSide + random(0, 1)) / kSide;
-            if (const auto met = camera.look(order[k] % Camera::kWidth + x,
-                                             order[k] / Camera::kWidth + y, random))
-                seen.push_back(*met);
-        }
-        if (seen.empty()) continue;
-        const auto objects = std::size_t(std::count_if(
-            seen.begin(), seen.end(), [](const Seen& s) { return s.object; }));
-        const bool isObject = 2 * objects >= seen.size();
-        ++visited;
-        onObject += isObject;
-        Receivers& kind = isObject ? picture.object : picture.floor;
-        if (full(kind)) continue;
-        for (const Seen& s : seen)
-            kind.add(s.position, s.normal, s.truth);
+        const std::size_t p = order[k];
+        Receivers& kind = all.object[p] ? picture.object : picture.floor;
+        if (kind.first.size() > pixels) continue;
+        for (std::size_t i = all.first[p]; i < all.first[p + 1]; ++i)
+            kind.add(all.points[i], all.normals[i], all.starts[i]);
         kind.first.push_back(kind.size());
     }
-    picture.objectShare = visited ? double(onObject) / double(visited) : 0.0;
+    const auto objects = std::count(all.object.begin(), all.object.end(), 1);
+    picture.objectShare = all.pixels() ? double(objects) / double(all.pixels()) : 0.0;
     return picture;
 }
 
