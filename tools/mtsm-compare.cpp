@@ -7,6 +7,7 @@
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
+#include <fstream>
 
 #include "common/arguments.h"
 #include "common/job.h"
@@ -75,11 +76,11 @@ constexpr const char* kExamples =
     "and\n"
     "EXR pictures of every run, and cache/, from which a comparison that was stopped or "
     "is\n"
-    "run again takes what it has.";
+    "run again takes truths and finished lights.";
 
 struct Arguments {
     std::vector<std::string> inputs, only;
-    std::string folder, cache, recommend;
+    std::string folder, cache, recommend, command;
     PlacementOptions placement;
     CameraOptions camera;
     std::vector<double> lightScales{1.0}, targets{0.02, 0.01, 0.005, 0.002};
@@ -219,7 +220,9 @@ struct Input {
     std::vector<CasterFile> casters;
     std::vector<JobReceiver> receivers;
     std::vector<JobMethod> methods;
+    baseline::Settings::Given mapDefaults;  ///< of the method mtsm, from [map]
     std::optional<Job> job;
+    std::string text;  ///< of the scene file
     std::string line;  ///< what stands for the casters on mtsm-bake's command line
 };
 
@@ -240,7 +243,40 @@ std::string bakeLine(const Arguments& a, const CLI::App& app) {
     return line;
 }
 
-Input readInput(const Arguments& a, CLI::App& app) {
+/// What [map] says of the settings that the method mtsm has. What else it says of layers
+/// is not compared.
+baseline::Settings::Given mapDefaults(const Job& job, Talk& talk) {
+    baseline::Settings::Given defaults;
+    for (const JobSetting& setting : job.settings) {
+        const std::string& key = setting.key;
+        if (!key.starts_with("map.")) continue;
+        const std::string name = key.substr(4);
+        if (name == "resets" || name == "color" || name == "keep-hidden") {
+            talk.warn(setting.place + ": " + name +
+                      " is not compared: maps are grey and keep what light can see");
+        } else if (name == "resolution") {
+            const glm::uvec2 size =
+                parseResolution("--resolution", setting.value, kMaxResolution);
+            if (size.x != size.y)
+                talk.warn(setting.place + ": maps are compared square; found " +
+                          setting.value);
+            defaults.emplace_back(name, double(std::max(size.x, size.y)));
+        } else if (name == "layers" || name == "tolerance" || name == "subsamples" ||
+                   name == "bias") {
+            defaults.emplace_back(
+                name, parseNumbers("--" + name, setting.value, 1, "a number").front());
+        }
+    }
+    return defaults;
+}
+
+/// The scene file as it stands, for a report that can be repeated.
+std::string textOf(const std::string& path) {
+    std::ifstream in(path, std::ios::binary);
+    return {std::istreambuf_iterator<char>(in), {}};
+}
+
+Input readInput(const Arguments& a, CLI::App& app, Talk& talk) {
     Input input;
     const auto isJob = [](const std::string& path) { return extension(path) == ".toml"; };
     if (a.inputs.empty())
@@ -252,6 +288,8 @@ Input readInput(const Arguments& a, CLI::App& app) {
         if (a.inputs.size() > 1)
             throw UsageError("INPUT: a scene file lists all casters; give it alone");
         input.job = unwrap(readJob(a.inputs.front()));
+        input.mapDefaults = mapDefaults(*input.job, talk);
+        input.text = textOf(a.inputs.front());
         applyJob(*input.job, app);
         input.casters = input.job->casters;
         input.receivers = input.job->receivers;
@@ -285,8 +323,12 @@ void run(const Arguments& a, const Input& input, Talk& talk) {
     const auto inFolder = [&](const std::string& name) {
         return (std::filesystem::path(a.folder) / name).string();
     };
+    const auto write = [&](const std::string& name, const std::string& text) {
+        const Writing writing(inFolder(name));
+        unwrap(writeTextFile(inFolder(name), text));
+    };
     // All that can be wrong without a look at the scene comes first.
-    const auto plan = planRuns(input.methods, a.only);
+    const auto plan = planRuns(input.methods, a.only, input.mapDefaults);
     std::optional<Wish> wish;
     if (!a.recommend.empty()) wish = parseWish(a.recommend);
     makeFolder(a.folder);
@@ -297,7 +339,11 @@ void run(const Arguments& a, const Input& input, Talk& talk) {
     options.truthSamples = int(a.truth);
     options.measuredPixels = std::size_t(a.measured);
     options.repeats = int(a.repeats);
-    options.threads = a.threads ? int(a.threads) : tbb::info::default_concurrency();
+    const int most = tbb::info::default_concurrency();
+    if (a.threads > most)
+        talk.warn("--threads: found " + std::to_string(a.threads) +
+                  ", but this machine has " + std::to_string(most) + ": takes those");
+    options.threads = a.threads ? std::min(int(a.threads), most) : most;
     if (!a.noCache) options.cache = a.cache.empty() ? inFolder("cache") : a.cache;
     Session session(scene, plan, options, talk);
     session.run();
@@ -311,15 +357,18 @@ void run(const Arguments& a, const Input& input, Talk& talk) {
     said.pointsPerPixel = a.camera.points;
     said.truthSamples = int(a.truth);
     said.threads = options.threads;
+    said.command = a.command;
+    said.sceneText = input.text;
     auto results = resultsJson(scene, plan, session, said);
+    removeOld(a.folder);
     if (!a.noPictures) {
         writePictures(scene, session, a.folder, talk, results);
         const std::string page =
             unwrap(makeReport(pageResults(results, said.error), a.folder));
-        unwrap(writeTextFile(inFolder("report.html"), page));
+        write("report.html", page);
     }
-    unwrap(writeTextFile(inFolder("results.csv"), resultsCsv(results)));
-    unwrap(writeTextFile(inFolder("results.json"), jsonText(results)));
+    write("results.csv", resultsCsv(results));
+    write("results.json", jsonText(results));
     talk.progressDone();
     print(a.json ? jsonText(results) : resultsText(results));
     if (wish)
@@ -337,15 +386,17 @@ int main(int argc, char** argv) {
     describeTool(app, kExamples);
     Arguments arguments;
     addOptions(app, arguments);
+    for (int i = 0; i < argc; ++i)
+        arguments.command += (i ? " " : "") + quotedForShell(argv[i]);
     return runTool(app, argc, argv, talk, [&] {
         if (arguments.listMethods) {
             print(methodsText());
             return;
         }
-        const Input input = readInput(arguments, app);
+        const Input input = readInput(arguments, app, talk);
         talk.setQuiet(arguments.quiet);
         try {
-            run(arguments, input, talk);
+            withThreads(arguments.threads, [&] { run(arguments, input, talk); });
         } catch (const UsageError& wrong) {
             if (input.job) blameJob(*input.job, wrong);
             throw;

@@ -14,7 +14,10 @@ PAPER_BUILD = {"character": 2, "palm": 5, "fur": 15, "giant-13m": 20, "giant-109
 
 
 def number(value, digits=4):
-    return "-" if value is None else f"{value:.{digits}f}".replace("0.", ".", 1)
+    if value is None:
+        return "-"
+    text = f"{value:.{digits}f}"
+    return text.removeprefix("0") if text.startswith("0.") else text
 
 
 def ratio(a, b):
@@ -38,7 +41,7 @@ class Scene:
 
     def map(self, light, **settings):
         layers = 5
-        asked = {"resolution": 1024, "samples": 256, "layers": layers, **settings}
+        asked = {"resolution": 1024, "samples": 256, "layers": layers, "lookup": "trace", **settings}
         if self.name.startswith("giant"):
             asked["resolution"] = settings.get("resolution", 2048)
         return self.find("mtsm", light, **asked)
@@ -79,14 +82,15 @@ def head(*cells):
 
 def errors(scenes):
     print("### Errors (003, table 1)\nMean difference from ray tracing and its standard deviation over "
-          "the image; 1024 x 1024 maps of 5 layers, 256 samples; the paper does not give its lights' "
-          "sizes.\n")
-    head("scene", "light", "PCF here", "PCF paper", "RT MTSM here", "RT MTSM paper", "PCF / MTSM")
+          "the image; maps of 5 layers, 256 samples; the paper does not give its lights' sizes.\n")
+    head("scene", "map, truth's samples", "light", "PCF here", "PCF paper", "RT MTSM here", "RT MTSM paper", "PCF / MTSM")
     for s in scenes:
         paper = PAPER_ERRORS.get(s.name)
         for light in s.lights:
             pcf, own = s.pcf(light), s.map(light)
-            row(s.name, s.all["lights"][light]["name"], f"{number(mean(pcf))} ({number(std(pcf))})",
+            truth = s.all["lights"][light]["truth"]["samples"]
+            row(s.name, f"{own['settings']['resolution']:.0f}, {truth}" if own else "-",
+                s.all["lights"][light]["name"], f"{number(mean(pcf))} ({number(std(pcf))})",
                 f"{number(paper[0])} ({number(paper[1])})" if paper else "-",
                 f"{number(mean(own))} ({number(std(own))})",
                 f"{number(paper[2])} ({number(paper[3])})" if paper else "-",
@@ -96,7 +100,7 @@ def errors(scenes):
 
 def relative_times(scenes):
     print("### Time relative to RT MTSM (003, table 2)\nQuery alone, one thread, 256 samples; in brackets "
-          "the paper's ratio. RT geometry is Embree.\n")
+          "the paper's ratio. RT geometry is Embree. Accumulated: 256 maps, all threads against all.\n")
     head("scene", "light", "RT MTSM, s", "RT geometry", "RT MVSM", "PCF or deep", "accumulated")
     for s in scenes:
         paper = PAPER_TIMES.get(s.name, (None,) * 4)
@@ -105,26 +109,26 @@ def relative_times(scenes):
             own = s.map(light)
             others = [s.find("embree", light, mode="fixed", samples=256), s.find("mvsm", light),
                       s.pcf(light)]
-            accumulated = s.find("accumulated", light, samples=1024)
+            accumulated = s.find("accumulated", light, samples=256)
             row(s.name, s.all["lights"][light]["name"], number(seconds(own), 2),
                 *(times(ratio(seconds(o), seconds(own))) + p for o, p in zip(others, said[1:])),
-                times(ratio(seconds(accumulated), seconds(own))))
+                times(ratio(seconds(accumulated, "all"), seconds(own, "all"))))
     print()
 
 
 def construction(scenes):
     print("### Construction (003, table 3 and sec. 4.2)\nSeconds with all threads; the paper's in "
-          "brackets. 5 layers / 1 and 5 views / 1 layer: the paper says 1.05 and 5.\n")
+          "brackets. 5 layers / 1 and 5 views / 1 layer, opaque maps, one thread: the paper says 1.05 and 5.\n")
     head("scene", "shaded points", "triangles", "map", "5 layers / 1 layer", "5 views / 1 layer",
          "Embree's tree", "memory: map, Embree (MB)")
     for s in scenes:
-        own, one = s.map(0), s.find("slsm", 0)
+        own, one, five = s.map(0), s.find("slsm", 0), s.find("mlsm", 0)
         embree = s.find("embree", 0, mode="fixed", samples=256)
         triangles = s.all["scene"]["triangles"] + 2 * s.all["scene"]["segments"]
         memory = [f"{1e-6 * r['build']['memoryBytes']:.0f}" if r else "-" for r in (own, embree)]
         row(s.name, s.all["scene"]["points"], triangles,
             f"{number(built(own), 2)} ({PAPER_BUILD[s.name]})",
-            times(ratio(built(own, "one"), built(one, "one"))),
+            times(ratio(built(five, "one"), built(one, "one"))),
             times(ratio(built(s.find("mvsm", 0), "one"), built(one, "one"))),
             number(built(embree), 2), ", ".join(memory))
     print()
@@ -143,6 +147,7 @@ def radius(scenes):
                 ("single layer, traced", lambda l, s=s: s.find("slsm", l)),
                 ("multi-view", lambda l, s=s: s.find("mvsm", l)),
                 ("RT MTSM", s.map),
+                ("MTSM, filtered", lambda l, s=s: s.find("mtsm", l, lookup="pcf")),
                 ("single sample", lambda l, s=s: s.find("single-sample", l, hard=False)),
                 ("distance field", lambda l, s=s: s.find("sdf", l))]:
             runs = [pick(light) for light in s.lights]
@@ -203,27 +208,35 @@ def equal_error(scenes):
                     cells.append("no: " + " and ".join("map" if m == "mtsm" else "Embree" for m in missing))
                     continue
                 own, rival = best["mtsm"], best["embree"]
-                cells.append(f"{times(rival['seconds'] / own['seconds'])}, "
-                             f"{times(rival['firstFrameSeconds'] / own['firstFrameSeconds'])}")
+                cells.append(f"{times(ratio(rival['seconds'], own['seconds']))}, "
+                             f"{times(ratio(rival['firstFrameSeconds'], own['firstFrameSeconds']))}")
             row(s.name, s.all["lights"][light]["name"], *cells)
     print()
 
 
+def load(folder, suffix):
+    found = []
+    for name in SCENES:
+        path = folder / (name + suffix) / "results.json"
+        if path.exists():
+            found.append(Scene(path))
+            found[-1].name = name
+    return found
+
+
 def main():
     folder = pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else "out/paper")
-    scenes = [Scene(folder / name / "results.json") for name in SCENES
-              if (folder / name / "results.json").exists()]
-    fine = [Scene(folder / (name + "-16") / "results.json") for name in SCENES
-            if (folder / (name + "-16") / "results.json").exists()]
-    if not scenes and not fine:
-        sys.exit(f"claims.py: no results.json in {folder}/SCENE; run samples/paper/run.sh first")
-    machine = (scenes + fine)[0].all["machine"]
-    print(f"{machine['processor']}, {machine['threads']} threads\n")
-    for table in (errors, relative_times, construction, radius, resolution, others, equal_error):
-        table(scenes)
-    if fine:
-        print("With 16 points a pixel:\n")
-        equal_error(fine)
+    suffix = sys.argv[2] if len(sys.argv) > 2 else ""
+    scenes = load(folder, suffix)
+    if not scenes:
+        sys.exit(f"claims.py: no results.json in {folder}/SCENE{suffix}; run samples/paper/run.sh first")
+    machine = scenes[0].all["machine"]
+    print(f"{machine['processor']}, {machine['threads']} threads, {machine['software']}"
+          f"{'; scenes' + suffix if suffix else ''}\n")
+    if suffix != "-16":
+        for table in (errors, relative_times, construction, radius, resolution, others):
+            table(scenes)
+    equal_error(scenes)
 
 
 if __name__ == "__main__":

@@ -6,22 +6,33 @@
 #     samples/paper/run.sh character           # one scene: character palm fur giant-13m giant-109m
 #     samples/paper/run.sh --quick character   # small pictures: minutes, to see how it goes
 #     samples/paper/run.sh --points16          # equal error with 16 points a pixel, first three
+#     samples/paper/run.sh --large             # the same pictures with 2048 x 1024 pixels
 #
-# Everything goes to out/paper/SCENE: report.html, results.json, pictures. What was done is kept in
-# a cache there: a second run goes on where the first one stopped.
+# Everything goes to out/paper/SCENE (SCENE-16, SCENE-large, SCENE-quick): report.html, results.json,
+# pictures. Truths and finished lights are kept in a cache there: a second run takes them from it.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 build=build/release
 out=out/paper
-quick=() points16=no scenes=()
+options=() suffix="" scenes=()
 for word in "$@"; do
     case $word in
-    --quick) quick=(--image 200x100 --truth 256 --measured-pixels 512 --repeats 1) ;;
-    --points16) points16=yes ;;
+    --quick)
+        options=(--image 200x100 --truth 256 --measured-pixels 512 --repeats 1)
+        suffix=-quick
+        ;;
+    --points16)
+        options=(--points 16 --pixels 2048 --truth 256 --method embree --method mtsm)
+        suffix=-16
+        ;;
+    --large)
+        options=(--image 2048x1024 --pixels 8192)
+        suffix=-large
+        ;;
     character | palm | fur | giant-13m | giant-109m) scenes+=("$word") ;;
     *)
-        echo "run.sh: found \"$word\", expected --quick, --points16 or scenes: character palm fur" \
-            "giant-13m giant-109m" >&2
+        echo "run.sh: found \"$word\", expected --quick, --points16, --large or scenes: character" \
+            "palm fur giant-13m giant-109m" >&2
         exit 2
         ;;
     esac
@@ -52,14 +63,9 @@ for scene in "${scenes[@]}"; do
     echo
     echo "=== $scene"
     caster "$scene"
-    if [ $points16 = yes ]; then
-        $build/tools/mtsm-compare $out/"$scene".toml --points 16 --pixels 2048 --truth 256 \
-            --method embree --method mtsm "${quick[@]}" -o $out/"$scene"-16
-    else
-        $build/tools/mtsm-compare $out/"$scene".toml "${quick[@]}" -o $out/"$scene"
-    fi
+    $build/tools/mtsm-compare $out/"$scene".toml "${options[@]}" -o $out/"$scene$suffix"
 done
 echo
-python3 samples/paper/claims.py $out | tee $out/claims.md
+python3 samples/paper/claims.py $out $suffix | tee $out/claims$suffix.md
 echo
-echo "The reports are in $out/*/report.html, this table in $out/claims.md."
+echo "The reports are in $out/*/report.html, these tables in $out/claims$suffix.md."

@@ -13,22 +13,37 @@ using baseline::SettingUse;
 
 constexpr std::size_t kMostRuns = 2000;
 
-/// What is compared if the job names no method.
+/// What is compared if the job names no method: of Embree all of its modes, for it is the
+/// rival.
 std::vector<JobMethod> defaultMethods() {
+    using Values = std::vector<JobMethod::Value>;
     const auto numbers = [](std::initializer_list<double> values) {
-        return std::vector<JobMethod::Value>(values.begin(), values.end());
+        return Values(values.begin(), values.end());
     };
+    const auto word = [](const char* text) { return Values{std::string(text)}; };
     std::vector<JobMethod> methods;
+    const auto add = [&](const std::string& name,
+                         decltype(JobMethod::settings) settings) {
+        methods.emplace_back();
+        methods.back().name = name;
+        methods.back().settings = std::move(settings);
+    };
     for (const MethodInfo& info : baseline::methods()) {
-        JobMethod method;
-        method.name = info.name;
-        if (info.name == "embree")
-            method.settings = {{"samples", numbers({1, 4, 16, 64, 256})}};
-        if (info.name == "mtsm")
-            method.settings = {{"resolution", numbers({512, 1024, 2048})},
-                               {"samples", numbers({16, 64, 256})}};
-        if (info.fixedCost) method.settings = {{"samples", numbers({64})}};
-        methods.push_back(std::move(method));
+        if (info.name == "embree") {
+            add(info.name, {{"samples", numbers({1, 4, 8, 16, 32, 64, 256})}});
+            add(info.name, {{"mode", word("adaptive")},
+                            {"samples", numbers({16})},
+                            {"most", numbers({64, 256})}});
+            add(info.name, {{"mode", word("pixel")}, {"samples", numbers({1, 4, 16})}});
+        } else if (info.name == "mtsm") {
+            add(info.name, {{"resolution", numbers({512, 1024, 2048})},
+                            {"samples", numbers({16, 64, 256})}});
+            add(info.name, {{"lookup", word("pcf")}, {"samples", numbers({64})}});
+        } else if (info.fixedCost) {
+            add(info.name, {{"samples", numbers({64})}});
+        } else {
+            add(info.name, {});
+        }
     }
     return methods;
 }
@@ -49,10 +64,10 @@ PlannedRun makeRun(const MethodInfo& info, Settings settings) {
 
 /// All combinations, the last setting changing fastest.
 void addCombinations(const JobMethod& method, const MethodInfo& info,
-                     std::vector<PlannedRun>& runs) {
+                     const Settings::Given& defaults, std::vector<PlannedRun>& runs) {
     std::vector<std::size_t> at(method.settings.size(), 0);
     while (true) {
-        Settings::Given given;
+        Settings::Given given = defaults;
         for (std::size_t i = 0; i < at.size(); ++i)
             given.emplace_back(method.settings[i].first,
                                method.settings[i].second[at[i]]);
@@ -76,7 +91,8 @@ void addCombinations(const JobMethod& method, const MethodInfo& info,
 }  // namespace
 
 std::vector<PlannedRun> planRuns(const std::vector<JobMethod>& methods,
-                                 const std::vector<std::string>& only) {
+                                 const std::vector<std::string>& only,
+                                 const Settings::Given& mapDefaults) {
     for (const std::string& name : only) {
         const auto known = baseline::findMethod(name);
         if (!known) throw UsageError("--method: " + known.error().message);
@@ -90,7 +106,8 @@ std::vector<PlannedRun> planRuns(const std::vector<JobMethod>& methods,
         if (!only.empty() &&
             std::find(only.begin(), only.end(), method.name) == only.end())
             continue;
-        addCombinations(method, **info, runs);
+        addCombinations(method, **info,
+                        method.name == "mtsm" ? mapDefaults : Settings::Given(), runs);
     }
     // The same run twice is one.
     std::vector<PlannedRun> unique;

@@ -19,10 +19,13 @@ struct PlannedRun {
 };
 
 /// In the order of the job; without methods there, a sweep of every method that is quick
-/// enough to wait for. `only`: names of methods to keep; empty: all. Throws a Failure at
-/// the place in the job where a method or a setting is none that there is.
+/// enough to wait for. `only`: names of methods to keep; empty: all. `mapDefaults`: what
+/// the method mtsm takes where its settings say nothing, as the job's [map] has it.
+/// Throws a Failure at the place in the job where a method or a setting is none that
+/// there is.
 std::vector<PlannedRun> planRuns(const std::vector<JobMethod>& methods,
-                                 const std::vector<std::string>& only);
+                                 const std::vector<std::string>& only,
+                                 const baseline::Settings::Given& mapDefaults);
 
 /// Every method and every setting with its default and range, for --list-methods.
 std::string methodsText();

@@ -13,8 +13,6 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr const char* kErrorKinds[] = {"image", "object", "imageCosine", "objectCosine"};
-
 struct Candidate {
     const Json* run;
     double error, query, firstFrame;  // all threads

@@ -19,8 +19,9 @@ using baseline::Errors;
 using baseline::Measured;
 using Json = nlohmann::ordered_json;
 
-constexpr const char* kErrorKinds[] = {"image", "object", "imageCosine", "objectCosine"};
 constexpr float kFullDifference = 0.1f;
+// Grey where there is no answer, or nothing to see.
+constexpr float kNothing = 0.25f, kNoDifference = 0.8f;
 
 Json errorsJson(const Errors& e) {
     if (e.count == 0) return nullptr;
@@ -40,14 +41,6 @@ Json settingJson(const baseline::SettingValue& value) {
     return std::visit([](const auto& v) { return Json(v); }, value);
 }
 
-std::string processorName() {
-    std::ifstream info("/proc/cpuinfo");
-    std::string line;
-    while (std::getline(info, line))
-        if (line.starts_with("model name")) return line.substr(line.find(": ") + 2);
-    return "unknown processor";
-}
-
 std::string fileText(const std::string& text) {
     std::string name;
     for (const char c : text)
@@ -55,70 +48,90 @@ std::string fileText(const std::string& text) {
     return name;
 }
 
+/// Also the name of its pictures: short, and no two are the same.
 std::string idOf(const RunResult& result, const PlannedRun& run) {
-    return std::to_string(result.light + 1) + "-" + fileText(run.label);
+    constexpr std::size_t kMost = 80;
+    return std::to_string(result.light + 1) + "-" + std::to_string(result.run + 1) + "-" +
+           fileText(run.label).substr(0, kMost);
 }
 
-/// What is compared of a run: on one thread, build included or not.
-struct Costs {
-    Measured query, firstFrame;
-};
-
-Costs costsOf(const RunResult& r, const PlannedRun& run, ErrorKind error) {
-    Costs costs;
-    costs.query.label = run.label;
-    costs.query.error = r.errors[std::size_t(error)].mean;
-    costs.query.seconds = r.query.one->median;
+/// What is compared of a run, with one thread or with all of them; nothing if it was not
+/// timed so. With `build`, of the first frame.
+std::optional<Measured> measuredOf(const RunResult& r, const PlannedRun& run,
+                                   ErrorKind error, bool one, bool build) {
+    const auto& query = one ? r.query.one : r.query.all;
+    const auto& built = one ? r.build.one : r.build.all;
+    if (!r.failure.empty() || r.unanswered > 0 || !query || (build && !built) ||
+        r.errors[std::size_t(error)].count == 0)
+        return std::nullopt;
+    Measured m;
+    m.label = run.label;
+    m.error = r.errors[std::size_t(error)].mean;
+    m.seconds = query->median;
+    if (build) m.build = built->median;
     // Embree alone falls along a line from number to number.
     if (run.method->name == "embree" && run.settings.word("mode") == "fixed") {
-        costs.query.series = run.series;
-        costs.query.samples = run.settings.number("samples");
+        m.series = run.series;
+        m.samples = run.settings.number("samples");
     }
-    costs.firstFrame = costs.query;
-    costs.firstFrame.seconds += (r.build.one ? r.build.one : r.build.all)->median;
-    return costs;
+    return m;
 }
 
-/// All runs of a method under a light that answer everything.
-struct Rival {
-    std::vector<Measured> query, firstFrame;
-};
-
-Rival runsOf(const std::string& method, std::size_t light,
-             const std::vector<PlannedRun>& plan, const Session& session,
-             ErrorKind error) {
-    Rival rival;
+/// All runs of a method under a light.
+std::vector<Measured> runsOf(const std::string& method, std::size_t light,
+                             const std::vector<PlannedRun>& plan, const Session& session,
+                             ErrorKind error, bool one, bool build) {
+    std::vector<Measured> runs;
     for (const RunResult& r : session.results()) {
-        const PlannedRun& run = plan[r.run];
-        if (r.light != light || run.method->name != method || !r.failure.empty() ||
-            r.unanswered > 0 || !r.query.one || r.errors[std::size_t(error)].count == 0)
-            continue;
-        const Costs costs = costsOf(r, run, error);
-        rival.query.push_back(costs.query);
-        rival.firstFrame.push_back(costs.firstFrame);
+        if (r.light != light || plan[r.run].method->name != method) continue;
+        if (auto m = measuredOf(r, plan[r.run], error, one, build))
+            runs.push_back(*std::move(m));
     }
-    return rival;
+    return runs;
 }
 
-Json equalErrorJson(const RunResult& r, const PlannedRun& run, const Rival& rival,
-                    const std::string& rivalName, ErrorKind error) {
-    const Costs own = costsOf(r, run, error);
-    const auto query = baseline::cheapest(rival.query, own.query.error);
-    const auto first = baseline::cheapest(rival.firstFrame, own.query.error);
+Json secondsJson(const std::optional<baseline::Reached>& reached) {
+    return reached ? Json(reached->seconds) : Json();
+}
+Json labelJson(const std::optional<baseline::Reached>& reached) {
+    return reached ? Json(reached->label) : Json();
+}
+
+/// One run against the cheapest way of a rival to its error; nothing if it was not timed.
+Json equalErrorJson(const RunResult& r, const std::vector<PlannedRun>& plan,
+                    const Session& session, const ResultOptions& options, bool one) {
+    const PlannedRun& run = plan[r.run];
+    const auto own = measuredOf(r, run, options.error, one, false);
+    if (!own) return nullptr;
+    const auto ownFirst = measuredOf(r, run, options.error, one, true);
+    // Every map against Embree, and the other way round.
+    const std::string rival = run.method->name == "embree" ? "mtsm" : "embree";
+    const auto reach = [&](bool build) {
+        return baseline::cheapest(
+            runsOf(rival, r.light, plan, session, options.error, one, build), own->error);
+    };
+    const auto query = reach(false), first = reach(true);
+    const auto ratio = [](const auto& theirs, const std::optional<Measured>& ours) {
+        return theirs && ours ? Json(theirs->seconds / (ours->build + ours->seconds))
+                              : Json();
+    };
     Json j{{"run", idOf(r, run)},
-           {"rival", rivalName},
-           {"threads", 1},
-           {"error", own.query.error},
-           {"seconds", own.query.seconds},
-           {"firstFrameSeconds", own.firstFrame.seconds}};
-    j["rivalSeconds"] = query ? Json(query->seconds) : Json();
-    j["rivalFirstFrameSeconds"] = first ? Json(first->seconds) : Json();
-    j["rivalLabel"] = query ? Json(query->label) : Json();
-    j["ratio"] = query ? Json(query->seconds / own.query.seconds) : Json();
-    j["firstFrameRatio"] = first ? Json(first->seconds / own.firstFrame.seconds) : Json();
+           {"rival", rival},
+           {"threads", one ? 1 : options.threads},
+           {"error", own->error},
+           {"seconds", own->seconds}};
+    j["firstFrameSeconds"] =
+        ownFirst ? Json(ownFirst->build + ownFirst->seconds) : Json();
+    j["rivalSeconds"] = secondsJson(query);
+    j["rivalLabel"] = labelJson(query);
+    j["rivalFirstFrameSeconds"] = secondsJson(first);
+    j["rivalFirstFrameLabel"] = labelJson(first);
+    j["ratio"] = ratio(query, own);
+    j["firstFrameRatio"] = ratio(first, ownFirst);
     return j;
 }
 
+/// The cheapest of each method that meets an error, with one thread.
 Json targetsJson(std::size_t light, double error, const std::vector<PlannedRun>& plan,
                  const Session& session, ErrorKind kind) {
     std::vector<std::string> names;
@@ -127,15 +140,17 @@ Json targetsJson(std::size_t light, double error, const std::vector<PlannedRun>&
             names.push_back(run.method->name);
     Json cheapest = Json::array();
     for (const std::string& name : names) {
-        const Rival runs = runsOf(name, light, plan, session, kind);
-        const auto query = baseline::cheapest(runs.query, error);
-        const auto first = baseline::cheapest(runs.firstFrame, error);
-        if (!query || !first) continue;
+        const auto reach = [&](bool build) {
+            return baseline::cheapest(
+                runsOf(name, light, plan, session, kind, true, build), error);
+        };
+        const auto query = reach(false), first = reach(true);
+        if (!query) continue;
         cheapest.push_back({{"method", name},
                             {"label", query->label},
                             {"seconds", query->seconds},
-                            {"firstFrameSeconds", first->seconds},
-                            {"firstFrameLabel", first->label}});
+                            {"firstFrameSeconds", secondsJson(first)},
+                            {"firstFrameLabel", labelJson(first)}});
     }
     return {{"light", light}, {"error", error}, {"cheapest", cheapest}};
 }
@@ -155,7 +170,7 @@ Json sceneJson(const CompareScene& scene, const Session& session,
             {"points", scene.allPoints()},
             {"pixels", scene.allPixels()},
             {"comparedPixels", picture.pixels()},
-            {"objectPixels", std::count(picture.object.begin(), picture.object.end(), 1)},
+            {"objectPixels", scene.allObjectPixels()},
             {"measuredPixels", session.measuredPixels()}};
 }
 
@@ -172,6 +187,7 @@ Json lightsJson(const CompareScene& scene, const Session& session,
                           {"shape", name(c.light.shape)},
                           {"text", lightText(c.light)},
                           {"light", lightJson(c.light)},
+                          {"runsCached", found.runsCached},
                           {"truth",
                            {{"samples", options.truthSamples},
                             {"seconds", found.truthSeconds},
@@ -198,23 +214,25 @@ Json runJson(const RunResult& r, const PlannedRun& run) {
         settings[name] = settingJson(value);
     for (std::size_t k = 0; k < r.errors.size(); ++k)
         errors[kErrorKinds[k]] = errorsJson(r.errors[k]);
-    return {
-        {"id", idOf(r, run)},
-        {"method", run.method->name},
-        {"label", run.label},
-        {"series", run.series},
-        {"light", r.light},
-        {"settings", settings},
-        {"build",
-         {{"seconds", r.build.all->median},
-          {"one", timingJson(r.build.one)},
-          {"all", timingJson(r.build.all)},
-          {"memoryBytes", r.memoryBytes}}},
-        {"query", {{"one", timingJson(r.query.one)}, {"all", timingJson(r.query.all)}}},
-        {"unanswered", r.unanswered},
-        {"errors", errors},
-        {"image", nullptr},
-        {"difference", nullptr}};
+    return {{"id", idOf(r, run)},
+            {"method", run.method->name},
+            {"label", run.label},
+            {"series", run.series},
+            {"light", r.light},
+            {"settings", settings},
+            {"build",
+             {{"seconds", r.build.all->median},
+              {"one", timingJson(r.build.one)},
+              {"all", timingJson(r.build.all)},
+              {"memoryBytes", r.memoryBytes}}},
+            {"query",
+             {{"one", timingJson(r.query.one)},
+              {"all", timingJson(r.query.all)},
+              {"firstAnswer", r.firstAnswer}}},
+            {"unanswered", r.unanswered},
+            {"errors", errors},
+            {"image", nullptr},
+            {"difference", nullptr}};
 }
 
 // --- pictures
@@ -230,24 +248,37 @@ void writeShaded(const CompareScene& scene, std::size_t light,
     const baseline::Picture& picture = scene.picture();
     std::vector<float> shaded = picture.cosines(scene.lights()[light].light);
     for (std::size_t p = 0; p < shaded.size(); ++p)
-        shaded[p] = displayed(0.9f * shaded[p] * (1.0f - shadow[p]));
+        shaded[p] = std::isnan(shadow[p])
+                        ? kNothing
+                        : displayed(0.9f * shaded[p] * (1.0f - shadow[p]));
+    const Writing writing(path);
     unwrap(writeImagePng(path, greyImage(picture.width, picture.height,
-                                         picture.image(shaded, 0.25f), 0.0f, 1.0f)));
+                                         picture.image(shaded, kNothing), 0.0f, 1.0f)));
+}
+
+void writeExr(const std::string& path, const FloatImage& image) {
+    const Writing writing(path);
+    unwrap(writeImageExr(path, image));
 }
 
 void writeDifference(const baseline::Picture& picture, const std::vector<float>& d,
                      const std::string& path) {
     std::vector<float> red, green, blue;
     for (const float v : d) {
-        const float t = std::isnan(v) ? 0.0f : std::clamp(v / kFullDifference, -1.f, 1.f);
+        if (std::isnan(v)) {
+            for (auto* channel : {&red, &green, &blue})
+                channel->push_back(kNoDifference);
+            continue;
+        }
+        const float t = std::clamp(v / kFullDifference, -1.f, 1.f);
         red.push_back(t < 0 ? 1 + t : 1.0f);
         green.push_back(1 - std::abs(t));
         blue.push_back(t > 0 ? 1 - t : 1.0f);
     }
     unwrap(writeImagePng(
-        path,
-        colorImage(picture.width, picture.height, picture.image(red, 0.8f),
-                   picture.image(green, 0.8f), picture.image(blue, 0.8f), 0.0f, 1.0f)));
+        path, colorImage(picture.width, picture.height, picture.image(red, kNoDifference),
+                         picture.image(green, kNoDifference),
+                         picture.image(blue, kNoDifference), 0.0f, 1.0f)));
 }
 
 }  // namespace
@@ -258,9 +289,12 @@ Json resultsJson(const CompareScene& scene, const std::vector<PlannedRun>& plan,
     j["format"] = "mtsm-compare";
     j["version"] = 1;
     j["scene"] = sceneJson(scene, session, options);
-    j["machine"] = {{"processor", processorName()},
-                    {"threads", options.threads},
-                    {"software", "libmtsm " MTSM_VERSION}};
+    j["machine"] = {
+        {"processor", processorName()},
+        {"threads", options.threads},
+        {"software", "libmtsm " MTSM_VERSION ", Embree " + baseline::embreeVersion()}};
+    j["command"] = options.command;
+    j["sceneText"] = options.sceneText;
     j["errorKind"] = kErrorKinds[std::size_t(options.error)];
     j["differenceScale"] = kFullDifference;
     j["lights"] = lightsJson(scene, session, options);
@@ -276,13 +310,11 @@ Json resultsJson(const CompareScene& scene, const std::vector<PlannedRun>& plan,
             continue;
         }
         j["runs"].push_back(runJson(r, run));
-        const bool judged = r.errors[std::size_t(options.error)].count > 0;
-        if (r.unanswered > 0 || !r.query.one || !judged) continue;
-        // Every map against Embree, and the other way round.
-        const std::string rival = run.method->name == "embree" ? "mtsm" : "embree";
-        j["equalError"].push_back(
-            equalErrorJson(r, run, runsOf(rival, r.light, plan, session, options.error),
-                           rival, options.error));
+        for (const bool one : {true, false}) {
+            if (!one && options.threads == 1) continue;
+            Json compared = equalErrorJson(r, plan, session, options, one);
+            if (!compared.is_null()) j["equalError"].push_back(std::move(compared));
+        }
     }
     j["targets"] = Json::array();
     for (std::size_t l = 0; l < scene.lights().size(); ++l)
@@ -388,7 +420,7 @@ void writePictures(const CompareScene& scene, const Session& session,
         writeShaded(scene, l, truth, path(name + ".png"));
         FloatImage image(picture.width, picture.height);
         image.channels.push_back({"shadow", picture.image(truth, NAN)});
-        unwrap(writeImageExr(path(name + ".exr"), image));
+        writeExr(path(name + ".exr"), image);
         results["lights"][l]["truth"]["image"] = name + ".png";
     }
     std::size_t at = 0;
@@ -406,10 +438,38 @@ void writePictures(const CompareScene& scene, const Session& session,
         FloatImage image(picture.width, picture.height);
         image.channels.push_back({"shadow", picture.image(r.values, NAN)});
         image.channels.push_back({"difference", picture.image(difference, NAN)});
-        unwrap(writeImageExr(path(name + ".exr"), image));
+        writeExr(path(name + ".exr"), image);
         j["image"] = name + ".png";
         j["difference"] = name + "-difference.png";
     }
+}
+
+void removeOld(const std::string& folder) {
+    namespace fs = std::filesystem;
+    const fs::path in(folder);
+    std::vector<std::string> names = {"report.html", "results.csv"};
+    std::ifstream file(in / "results.json");
+    const Json old = Json::parse(file, nullptr, false);
+    if (!old.is_object() || old.value("format", Json()) != "mtsm-compare") return;
+    const auto add = [&](const Json& picture) {
+        if (!picture.is_string()) return;
+        const fs::path name(picture.get<std::string>());
+        if (name.has_parent_path() || name.extension() != ".png") return;
+        names.push_back(name.string());
+        names.push_back(name.stem().string() + ".exr");
+    };
+    for (const Json& light : old.value("lights", Json::array()))
+        if (light.is_object())
+            add(light.value("truth", Json::object()).value("image", Json()));
+    for (const Json& run : old.value("runs", Json::array())) {
+        if (!run.is_object()) continue;
+        add(run.value("image", Json()));
+        add(run.value("difference", Json()));
+    }
+    names.emplace_back("results.json");
+    std::error_code ignored;
+    for (const std::string& name : names)
+        fs::remove(in / name, ignored);
 }
 
 Json pageResults(Json results, ErrorKind error) {
@@ -421,6 +481,10 @@ Json pageResults(Json results, ErrorKind error) {
         for (const Json& run : results["runs"]) {
             if (run["light"].get<std::size_t>() != l || run["errors"][kind].is_null())
                 continue;
+            if (run["unanswered"].get<std::size_t>() > 0) {
+                keep.insert(run["id"]);
+                continue;
+            }
             Measured m;
             m.error = run["errors"][kind]["mean"];
             const Json& one = run["query"]["one"];

@@ -10,6 +10,9 @@ namespace mtsm::tools {
 
 /// The mean error that decides who is ahead.
 enum class ErrorKind { image, object, imageCosine, objectCosine };
+/// As results.json has them.
+inline constexpr const char* kErrorKinds[] = {"image", "object", "imageCosine",
+                                              "objectCosine"};
 
 struct ResultOptions {
     std::string scene;                 ///< the scene file, or the first caster
@@ -18,6 +21,7 @@ struct ResultOptions {
     ErrorKind error = ErrorKind::image;
     std::int64_t pointsPerPixel = 1;
     int truthSamples = 0, threads = 0;
+    std::string command, sceneText;  ///< what asked for it, so that it can be repeated
 };
 
 /// All of results.json (tools/README.md has its fields), but for the pictures' names.
@@ -37,6 +41,10 @@ std::string resultsText(const nlohmann::ordered_json& results);
 void writePictures(const CompareScene& scene, const Session& session,
                    const std::string& folder, Talk& talk,
                    nlohmann::ordered_json& results);
+
+/// Takes away what an earlier comparison wrote into `folder`: its page, its tables and
+/// the pictures that its results.json names.
+void removeOld(const std::string& folder);
 
 /// A copy whose pictures are few enough for one page: of each light those of the Pareto
 /// front, and of each method the most accurate one.

@@ -128,6 +128,8 @@ CompareScene::CompareScene(const std::vector<CasterFile>& casters,
     takePicture(camera, talk);
     allPixels_ = picture_.pixels();
     allPoints_ = picture_.points.size();
+    allObjectPixels_ = std::size_t(
+        std::count(picture_.object.begin(), picture_.object.end(), std::uint8_t(1)));
     if (camera.pixels > 0)
         picture_ = picture_.part(
             picture_.spread(std::size_t(camera.pixels), baseline::Picture::kRun));
@@ -213,6 +215,10 @@ void CompareScene::takePicture(const CameraOptions& options, Talk& talk) {
     if (!options.positionPass.empty()) {
         if (options.points != 1)
             throw UsageError("--points: a position pass has one point a pixel");
+        if (options.position || options.target || options.up || options.fovDegrees)
+            throw UsageError(
+                "--camera-position, -target, -up and -fov are for pictures that a camera "
+                "takes; --position-pass has its own points");
         const Pass positions = unwrap(readPositionPass(options.positionPass));
         std::vector<glm::vec3> normals;
         if (!options.normalPass.empty())

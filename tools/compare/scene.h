@@ -50,6 +50,7 @@ class CompareScene {
     /// Of the whole picture: those that see something.
     [[nodiscard]] std::size_t allPixels() const { return allPixels_; }
     [[nodiscard]] std::size_t allPoints() const { return allPoints_; }
+    [[nodiscard]] std::size_t allObjectPixels() const { return allObjectPixels_; }
     [[nodiscard]] const std::vector<ComparedLight>& lights() const { return lights_; }
     [[nodiscard]] const SceneCounts& counts() const { return counts_; }
     /// Of all that the truth depends on but its light and its number of samples.
@@ -74,7 +75,7 @@ class CompareScene {
     std::unique_ptr<baseline::EmbreeReference> reference_, receivers_;
     std::vector<baseline::PlanarReceiver> planes_;
     baseline::Picture picture_;
-    std::size_t allPixels_ = 0, allPoints_ = 0;
+    std::size_t allPixels_ = 0, allPoints_ = 0, allObjectPixels_ = 0;
     SceneCounts counts_;
     std::uint64_t content_ = 0;
 };

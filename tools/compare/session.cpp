@@ -1,6 +1,8 @@
 #include "compare/session.h"
 
+#include <tbb/info.h>
 #include <tbb/task_arena.h>
+#include <tbb/version.h>
 
 #include <algorithm>
 #include <chrono>
@@ -21,6 +23,8 @@ using baseline::Picture;
 using Clock = std::chrono::steady_clock;
 using Json = nlohmann::ordered_json;
 
+/// To be raised with every change of what the reference answers.
+constexpr int kTruthVersion = 1;
 constexpr std::size_t kTruthPoints = 4096;                  // at a time, for progress
 constexpr std::size_t kTruthPixels = std::size_t(1) << 15;  // in a file of the cache
 constexpr double kShortest = 0.02;  // s: what takes less is done several times
@@ -32,8 +36,9 @@ double since(Clock::time_point start) {
 
 Timing timingOf(std::vector<double> seconds) {
     std::sort(seconds.begin(), seconds.end());
-    return {seconds[seconds.size() / 2], seconds.front(), seconds.back(),
-            int(seconds.size())};
+    const std::size_t n = seconds.size();
+    return {0.5 * (seconds[(n - 1) / 2] + seconds[n / 2]), seconds.front(),
+            seconds.back(), int(n)};
 }
 
 /// The program itself: what another version measured is not what this one would.
@@ -48,12 +53,28 @@ Json timingJson(const std::optional<Timing>& t) {
     return {t->median, t->least, t->most, t->repeats};
 }
 
+/// A method's refusal; those of the machine or the moment are not kept.
+template <typename Failing>
+void fail(Failing& failing, const Error& error) {
+    failing.failure = error.message;
+    failing.mayChange =
+        error.code != ErrorCode::badArgument && error.code != ErrorCode::unsupported;
+}
+
 std::optional<Timing> readTiming(const Json& j) {
     if (j.is_null()) return std::nullopt;
     return Timing{j.at(0), j.at(1), j.at(2), j.at(3)};
 }
 
 }  // namespace
+
+std::string processorName() {
+    std::ifstream info("/proc/cpuinfo");
+    std::string line;
+    while (std::getline(info, line))
+        if (line.starts_with("model name")) return line.substr(line.find(": ") + 2);
+    return "unknown processor";
+}
 
 Session::Session(CompareScene& scene, const std::vector<PlannedRun>& plan,
                  const SessionOptions& options, Talk& talk)
@@ -97,7 +118,8 @@ void Session::findTruth(std::size_t light) {
     const Picture& picture = scene_.picture();
     const std::uint64_t key = baseline::combined(
         lightKey(light),
-        baseline::contentOf("truth " + std::to_string(options_.truthSamples)));
+        baseline::contentOf("truth " + std::to_string(kTruthVersion) + " " +
+                            std::to_string(options_.truthSamples)));
     baseline::ReferenceOptions options;
     options.samples = options_.truthSamples;
     result.truthCached = true;
@@ -132,10 +154,11 @@ void Session::findTruth(std::size_t light) {
             result.truth.push_back(
                 float(sum / double(picture.first[k + 1] - picture.first[k])));
         }
-        if (!options_.cache.empty())
-            unwrap(baseline::writeValues(file, pieceKey,
-                                         {result.truth.begin() + std::ptrdiff_t(p),
-                                          result.truth.begin() + std::ptrdiff_t(end)}));
+        if (options_.cache.empty()) continue;
+        const Writing writing(file);
+        unwrap(baseline::writeValues(file, pieceKey,
+                                     {result.truth.begin() + std::ptrdiff_t(p),
+                                      result.truth.begin() + std::ptrdiff_t(end)}));
     }
     result.truthSeconds = since(start);
     const auto [least, most] =
@@ -173,10 +196,10 @@ Session::Built& Session::built(std::size_t light, const PlannedRun& run) {
         if (method)
             made.method = *std::move(method);
         else
-            made.failure = method.error().message;
+            fail(made, method.error());
         return seconds;
     };
-    // Up to three times with all threads, and once with one unless that is too long.
+    // Up to three times with all threads; once with one, unless that is too long.
     std::vector<double> seconds;
     double total = 0.0;
     do {
@@ -230,11 +253,12 @@ void Session::answer(std::size_t light, RunResult& result, Built& method) {
             scene_.lights()[light].light, picture.receivers(), run.settings, out.data());
     });
     if (!done) {
-        result.failure = done.error().message;
+        fail(result, done.error());
         return;
     }
+    result.firstAnswer = since(start);
     // What is timed on whole pictures takes too long to be done again and again.
-    if (run.method->fixedCost) result.query.all = timingOf({since(start)});
+    if (run.method->fixedCost) result.query.all = timingOf({result.firstAnswer});
     result.values = picture.pixelMeans(out);
     result.memoryBytes = method.method->memoryBytes();
     result.build = method.seconds;
@@ -243,19 +267,19 @@ void Session::answer(std::size_t light, RunResult& result, Built& method) {
 void Session::timeRounds(std::size_t light, const std::vector<RunResult*>& group) {
     struct Clocked {
         RunResult* result;
-        int times[2] = {1, 1}, repeats = 0;
+        int times[2] = {1, 1}, repeats[2] = {0, 0};
         std::vector<double> seconds[2];
     };
     const int threads[2] = {1, options_.threads};
     std::vector<Clocked> clocks;
     for (RunResult* result : group) {
         if (plan_[result->run].method->fixedCost) continue;
-        Clocked c{result, {}, 0, {}};
+        Clocked c{result, {}, {}, {}};
         for (int t = 0; t < 2; ++t) {
             (void)talk_.progress("warming up " + plan_[result->run].label, -1.0);
             const double once = timeOnce(light, *result, threads[t], 1);
             c.times[t] = std::max(1, int(std::ceil(kShortest / std::max(once, 1e-6))));
-            c.repeats = once > kLong ? 1 : options_.repeats;
+            c.repeats[t] = once > kLong ? 1 : options_.repeats;
             if (once > kLong) c.seconds[t].push_back(once);
         }
         clocks.push_back(std::move(c));
@@ -267,7 +291,7 @@ void Session::timeRounds(std::size_t light, const std::vector<RunResult*>& group
                 "timing, light " + std::to_string(light + 1),
                 (round + double(i) / double(clocks.size())) / options_.repeats);
             for (int t = 0; t < 2; ++t)
-                if (int(c.seconds[t].size()) < c.repeats)
+                if (int(c.seconds[t].size()) < c.repeats[t])
                     c.seconds[t].push_back(
                         timeOnce(light, *c.result, threads[t], c.times[t]) / c.times[t]);
         }
@@ -315,6 +339,7 @@ void Session::compareLight(std::size_t light) {
             RunResult& result = results_[i];
             Built& method = built(light, plan_[result.run]);
             result.failure = method.failure;
+            result.mayChange = method.mayChange;
             if (result.failure.empty()) answer(light, result, method);
             if (!result.failure.empty()) {
                 if (reasons.insert(result.failure).second)
@@ -337,9 +362,11 @@ void Session::compareLight(std::size_t light) {
 
 /// Of all that the times and pictures under a light depend on.
 std::uint64_t Session::groupKey(std::size_t light) const {
-    std::string text = std::to_string(options_.measuredPixels) + " " +
-                       std::to_string(options_.repeats) + " " +
-                       std::to_string(options_.threads);
+    std::string text =
+        processorName() + " " + std::to_string(tbb::info::default_concurrency()) + " " +
+        std::to_string(TBB_runtime_interface_version()) + " " +
+        baseline::embreeVersion() + " " + std::to_string(options_.measuredPixels) + " " +
+        std::to_string(options_.repeats) + " " + std::to_string(options_.threads);
     for (const PlannedRun& run : plan_) {
         text += "\n" + run.method->name;
         for (const auto& [name, value] : run.settings.all())
@@ -380,6 +407,7 @@ bool Session::readGroup(std::size_t light) {
             const Json& j = all.at(r);
             result.failure = j.at("failure");
             result.memoryBytes = j.at("memory");
+            result.firstAnswer = j.at("firstAnswer");
             result.build = {readTiming(j.at("build").at(0)),
                             readTiming(j.at("build").at(1))};
             result.query = {readTiming(j.at("query").at(0)),
@@ -393,6 +421,7 @@ bool Session::readGroup(std::size_t light) {
     } catch (const Json::exception&) {
         throw damaged;
     }
+    lights_[light].runsCached = true;
     talk_.say("light " + std::to_string(light + 1) + ": all runs from the cache");
     return true;
 }
@@ -403,6 +432,9 @@ void Session::writeGroup(std::size_t light) const {
     const std::string name = cached("runs-" + baseline::contentText(key));
     const std::size_t pixels = scene_.picture().pixels(),
                       first = results_.size() - plan_.size();
+    // What may be otherwise next time is found out again.
+    for (std::size_t r = 0; r < plan_.size(); ++r)
+        if (results_[first + r].mayChange) return;
     std::vector<float> values(plan_.size() * pixels, 0.0f);
     Json all = Json::array();
     for (std::size_t r = 0; r < plan_.size(); ++r) {
@@ -410,13 +442,18 @@ void Session::writeGroup(std::size_t light) const {
         all.push_back(
             {{"failure", result.failure},
              {"memory", result.memoryBytes},
+             {"firstAnswer", result.firstAnswer},
              {"build", {timingJson(result.build.one), timingJson(result.build.all)}},
              {"query", {timingJson(result.query.one), timingJson(result.query.all)}}});
         std::copy(result.values.begin(), result.values.end(),
                   values.begin() + std::ptrdiff_t(r * pixels));
     }
-    unwrap(baseline::writeValues(name + ".values", key, values));
-    unwrap(writeTextFile(name + ".json", all.dump(1) + "\n"));
+    {
+        const Writing writing(name + ".values");
+        unwrap(baseline::writeValues(name + ".values", key, values));
+    }
+    const Writing writing(name + ".json");
+    unwrap(writeTextFile(name + ".json", jsonText(all)));
 }
 
 }  // namespace mtsm::tools

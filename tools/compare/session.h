@@ -31,6 +31,9 @@ struct SessionOptions {
     std::string cache;  ///< folder; empty: nothing is kept
 };
 
+/// The processor's name, as the system has it.
+std::string processorName();
+
 /// Seconds: the middle, the least and the most of some repeats.
 struct Timing {
     double median = 0.0, least = 0.0, most = 0.0;
@@ -45,7 +48,10 @@ struct Timings {
 struct RunResult {
     std::size_t light = 0, run = 0;  ///< into the scene's lights and the plan
     std::string failure;             ///< not empty: the method cannot do this; why
+    bool mayChange = false;          ///< the failure: it is of this machine or moment
     Timings build, query;            ///< query: of the whole picture
+    /// Of the first answer: the compared pixels, cold, with all threads.
+    double firstAnswer = 0.0;
     std::uint64_t memoryBytes = 0;
     std::vector<float> values;  ///< [pixels]
     std::size_t unanswered = 0;
@@ -56,7 +62,7 @@ struct RunResult {
 struct LightResult {
     std::vector<float> truth;  ///< [pixels]
     double truthSeconds = 0.0;
-    bool truthCached = false;
+    bool truthCached = false, runsCached = false;
 };
 
 class Session {
@@ -75,6 +81,7 @@ class Session {
         std::shared_ptr<baseline::Method> method;
         Timings seconds;
         std::string failure;
+        bool mayChange = false;
     };
 
     void findTruth(std::size_t light);
