@@ -156,9 +156,12 @@ void addCameraOptions(CLI::App& app, Arguments& a) {
              "compare so many pixels alone, in runs of 64 neighbours\n"
              "spread over the picture; 0: all (default)")
         ->group(group);
-    addText(app, "--position-pass", c.positionPass, "P.exr",
-            "shade the points of a position pass, no camera")
-        ->group(group);
+    auto* pass = addText(app, "--position-pass", c.positionPass, "P.exr",
+                         "shade the points of a position pass, no camera");
+    pass->group(group);
+    for (const char* camera :
+         {"--camera-position", "--camera-target", "--camera-up", "--camera-fov"})
+        pass->excludes(app.get_option(camera));
     addText(app, "--normal-pass", c.normalPass, "N.exr", "normals beside it")
         ->group(group);
 }
@@ -339,6 +342,19 @@ void run(const Arguments& a, const Input& input, Talk& talk) {
     options.truthSamples = int(a.truth);
     options.measuredPixels = std::size_t(a.measured);
     options.repeats = int(a.repeats);
+    for (const PlannedRun& planned : plan) {
+        const auto& all = planned.settings.all();
+        const bool close = std::any_of(all.begin(), all.end(), [&](const auto& s) {
+            const auto* samples = std::get_if<double>(&s.second);
+            return s.first == "samples" && samples && 4 * *samples > double(a.truth);
+        });
+        if (!close || planned.method->name == "radiance") continue;
+        talk.warn(
+            planned.label + ": the truth has no more than " + std::to_string(a.truth) +
+            " samples a point; its own noise is in the errors of what has a quarter "
+            "of that or more");
+        break;
+    }
     const int most = tbb::info::default_concurrency();
     if (a.threads > most)
         talk.warn("--threads: found " + std::to_string(a.threads) +
@@ -371,10 +387,16 @@ void run(const Arguments& a, const Input& input, Talk& talk) {
     write("results.json", jsonText(results));
     talk.progressDone();
     print(a.json ? jsonText(results) : resultsText(results));
+    // Without a renderer's passes those of the camera do.
+    std::string pass = a.camera.positionPass, normals = a.camera.normalPass;
+    if (pass.empty() && !a.noPictures && a.camera.points == 1) {
+        pass = inFolder("P.exr");
+        normals = inFolder("N.exr");
+    }
     if (wish)
-        talk.answer("recommended for " + a.recommend + ":\n" +
-                    recommendation(results, *wish, said.error, input.line,
-                                   a.camera.positionPass, a.camera.normalPass));
+        talk.answer(
+            "recommended for " + a.recommend + ":\n" +
+            recommendation(results, *wish, said.error, input.line, pass, normals));
     talk.say("wrote " + inFolder(a.noPictures ? "results.json" : "report.html"));
 }
 

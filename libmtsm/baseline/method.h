@@ -79,6 +79,7 @@ struct MethodInfo {
     /// An answer has costs that do not fall with the number of points: it is to be timed
     /// on whole pictures.
     bool fixedCost = false;
+    bool strands = true, volumes = true;  ///< casters that it takes; meshes always
     std::vector<SettingInfo> settings;
     std::function<Result<std::unique_ptr<Method>>(const MethodScene&, const Settings&)>
         build;

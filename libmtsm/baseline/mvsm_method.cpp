@@ -147,6 +147,7 @@ MethodInfo mvsmMethod() {
     info.name = "mvsm";
     info.title = "multi-view shadow maps, ray traced";
     info.source = "[Agrawala00]";
+    info.volumes = false;
     info.settings = {
         wholeSetting("resolution", 1024, 1, kMaxResolution, "pixels per side of a view",
                      SettingUse::build),

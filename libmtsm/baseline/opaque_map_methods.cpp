@@ -57,6 +57,7 @@ MethodInfo slsmMethod() {
     info.name = "slsm";
     info.title = "single-layer shadow map, ray traced";
     info.source = "[Xie07, sec. 4.1]";
+    info.volumes = false;
     info.settings = commonSettings();
     info.build = [](const MethodScene& scene, const Settings& settings) {
         return build(scene, settings, 1);
@@ -69,6 +70,7 @@ MethodInfo mlsmMethod() {
     info.name = "mlsm";
     info.title = "multilayer opaque shadow map, ray traced";
     info.source = "[Xie07, sec. 4.2]";
+    info.volumes = false;
     info.settings = commonSettings();
     info.settings.insert(info.settings.begin() + 1,
                          wholeSetting("layers", 5, 1, 64, "nearest surfaces of a pixel",

@@ -223,6 +223,7 @@ MethodInfo pcfMethod() {
     info.name = "pcf";
     info.title = "percentage-closer filtering of an opaque shadow map";
     info.source = "[Xie07, sec. 3]";
+    info.volumes = false;
     info.settings = {resolutionSetting(),
                      wholeSetting("layers", 1, 1, 64, "nearest surfaces of a pixel",
                                   SettingUse::build)};

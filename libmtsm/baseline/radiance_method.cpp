@@ -128,6 +128,7 @@ MethodInfo radianceMethod() {
     info.name = "radiance";
     info.title = "radiance textures on flat receivers";
     info.source = "[Heckbert97]";
+    info.volumes = false;
     info.settings = {
         wholeSetting("resolution", 512, 1, kMaxResolution,
                      "texels on the longer side of a receiver", SettingUse::build),

@@ -128,6 +128,7 @@ MethodInfo sdfMethod() {
     info.name = "sdf";
     info.title = "distance field of meshes, marched";
     info.source = "[Sdf]";
+    info.strands = info.volumes = false;
     info.perLight = false;
     info.settings = {
         wholeSetting("resolution", 128, 8, 1024,

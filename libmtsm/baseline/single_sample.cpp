@@ -491,6 +491,7 @@ MethodInfo singleSampleMethod() {
     info.name = "single-sample";
     info.title = "single sample soft shadows of spheres and meshes";
     info.source = "[Parker98]";
+    info.strands = info.volumes = false;
     info.perLight = false;
     info.settings = {
         wordSetting("compose", {"minimum", "multiply", "add"},

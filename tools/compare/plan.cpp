@@ -48,7 +48,18 @@ std::vector<JobMethod> defaultMethods() {
     return methods;
 }
 
-PlannedRun makeRun(const MethodInfo& info, Settings settings) {
+/// Whether the setting that this one depends on has the value that it needs.
+bool counting(const Settings& settings, const baseline::SettingInfo& setting) {
+    const auto equals = setting.with.find('=');
+    for (const auto& [name, value] : settings.all())
+        if (name == setting.with.substr(0, equals))
+            return baseline::settingText(value) == setting.with.substr(equals + 1);
+    return true;
+}
+
+/// `given`: settings that the job names, said in the label even at their defaults.
+PlannedRun makeRun(const MethodInfo& info, Settings settings,
+                   const Settings::Given& given) {
     PlannedRun run{&info, std::move(settings), info.name, info.name, info.name};
     for (std::size_t i = 0; i < info.settings.size(); ++i) {
         const auto& setting = info.settings[i];
@@ -56,7 +67,11 @@ PlannedRun makeRun(const MethodInfo& info, Settings settings) {
         const std::string text = " " + name + "=" + baseline::settingText(value);
         if (setting.use == SettingUse::build) run.buildKey += text;
         const bool samples = name == "samples";
-        if (value != setting.fallback || samples) run.label += text;
+        const bool named = std::any_of(given.begin(), given.end(), [&](const auto& g) {
+            return g.first == setting.name;
+        });
+        const bool counts = counting(run.settings, setting);
+        if (value != setting.fallback || samples || (named && counts)) run.label += text;
         if (value != setting.fallback && !samples) run.series += text;
     }
     return run;
@@ -80,7 +95,7 @@ void addCombinations(const JobMethod& method, const MethodInfo& info,
                                                    std::to_string(kMostRuns) +
                                                    " combinations of settings; leave "
                                                    "some values out"}};
-        runs.push_back(makeRun(info, *std::move(settings)));
+        runs.push_back(makeRun(info, *std::move(settings), given));
         std::size_t i = at.size();
         while (i > 0 && ++at[i - 1] == method.settings[i - 1].second.size())
             at[--i] = 0;

@@ -46,7 +46,7 @@ std::optional<Candidate> best(const std::vector<Candidate>& all, const Fits& fit
 std::string line(const Candidate& c) {
     return (*c.run)["label"].get<std::string>() + ": mean error " +
            shortText(float(c.error)) + ", " + secondsText(c.query) + " a picture, " +
-           secondsText(c.firstFrame) + " for the first (built in it), " +
+           secondsText(c.firstFrame) + " for the first one, its build included, " +
            bytesText((*c.run)["build"]["memoryBytes"].get<std::uint64_t>());
 }
 
@@ -160,14 +160,19 @@ std::string recommendation(const Json& results, const Wish& wish, ErrorKind erro
         const auto isMap = [](const Candidate& c) {
             return (*c.run)["method"] == "mtsm";
         };
-        const auto map =
-            isMap(*first) ? first
-            : isMap(*further)
-                ? further
-                : best(
-                      all, [&](const Candidate& c) { return fits(c) && isMap(c); },
-                      byFirst);
-        if (!map) continue;
+        const auto fitsAndIsMap = [&](const Candidate& c) { return fits(c) && isMap(c); };
+        auto map = wish.isTime ? best(all, fitsAndIsMap, byError)
+                               : best(all, fitsAndIsMap, byFirst);
+        if (!map) {
+            const auto near =
+                wish.isTime ? best(all, isMap, byFirst) : best(all, isMap, byError);
+            if (near)
+                text +=
+                    "  no map that was compared meets it; nearest: " + line(*near) + "\n";
+            continue;
+        }
+        if (isMap(*further)) map = further;
+        if (isMap(*first)) map = first;
         if (!isMap(*first) && !isMap(*further))
             text += "  from a map: " + line(*map) + "\n";
         text += mapLines(*map->run, light, input, positionPass, normalPass);

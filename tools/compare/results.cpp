@@ -4,7 +4,9 @@
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <glm/trigonometric.hpp>
 #include <iomanip>
+#include <map>
 #include <set>
 #include <sstream>
 
@@ -106,6 +108,8 @@ Json equalErrorJson(const RunResult& r, const std::vector<PlannedRun>& plan,
     const auto ownFirst = measuredOf(r, run, options.error, one, true);
     // Every map against Embree, and the other way round.
     const std::string rival = run.method->name == "embree" ? "mtsm" : "embree";
+    if (runsOf(rival, r.light, plan, session, options.error, one, false).empty())
+        return nullptr;
     const auto reach = [&](bool build) {
         return baseline::cheapest(
             runsOf(rival, r.light, plan, session, options.error, one, build), own->error);
@@ -174,6 +178,21 @@ Json sceneJson(const CompareScene& scene, const Session& session,
             {"measuredPixels", session.measuredPixels()}};
 }
 
+/// "radius 0.3", "0.6 x 0.4", "0.53 degrees"
+std::string nameOf(const AreaLight& light) {
+    const auto text = [](double v) { return shortText(float(v)); };
+    switch (light.shape) {
+        case LightShape::rect:
+            return text(light.size.x) + " x " + text(light.size.y);
+        case LightShape::sun:
+            return text(glm::degrees(light.angularDiameter)) + " degrees";
+        case LightShape::point:
+            return "point";
+        default:
+            return "radius " + text(light.radius);
+    }
+}
+
 Json lightsJson(const CompareScene& scene, const Session& session,
                 const ResultOptions& options) {
     Json lights = Json::array();
@@ -181,7 +200,7 @@ Json lightsJson(const CompareScene& scene, const Session& session,
         const ComparedLight& c = scene.lights()[l];
         const LightResult& found = session.lights()[l];
         const double radius = lightRadius(c.light);
-        lights.push_back({{"name", "radius " + shortText(float(radius))},
+        lights.push_back({{"name", nameOf(c.light)},
                           {"radius", radius},
                           {"scale", c.scale},
                           {"shape", name(c.light.shape)},
@@ -259,6 +278,19 @@ void writeShaded(const CompareScene& scene, std::size_t light,
 void writeExr(const std::string& path, const FloatImage& image) {
     const Writing writing(path);
     unwrap(writeImageExr(path, image));
+}
+
+FloatImage passImage(const baseline::Picture& picture,
+                     const std::vector<glm::dvec3>& values) {
+    FloatImage image(picture.width, picture.height);
+    const char* names[] = {"X", "Y", "Z"};
+    for (int c = 0; c < 3; ++c) {
+        std::vector<float> plane;
+        for (const glm::dvec3& v : values)
+            plane.push_back(float(v[c]));
+        image.channels.push_back({names[c], picture.image(plane, NAN)});
+    }
+    return image;
 }
 
 void writeDifference(const baseline::Picture& picture, const std::vector<float>& d,
@@ -401,10 +433,17 @@ std::string resultsText(const Json& results) {
                 << "\n";
         }
     }
+    // A reason is said once, with how many it keeps away.
+    std::map<std::string, std::vector<std::string>> reasons;
     for (const Json& failed : results["failed"])
-        out << "  " << failed["label"].get<std::string>() << ", light "
-            << failed["light"].get<std::size_t>() + 1 << ": "
-            << failed["reason"].get<std::string>() << "\n";
+        reasons[failed["reason"]].push_back(
+            failed["label"].get<std::string>() + ", light " +
+            numberText(failed["light"].get<double>() + 1));
+    for (const auto& [reason, who] : reasons)
+        out << "  not compared: " << who.front()
+            << (who.size() > 1 ? " and " + numberText(double(who.size() - 1)) + " more"
+                               : "")
+            << ": " << reason << "\n";
     return out.str();
 }
 
@@ -414,6 +453,10 @@ void writePictures(const CompareScene& scene, const Session& session,
     const auto path = [&](const std::string& name) {
         return (std::filesystem::path(folder) / name).string();
     };
+    if (picture.points.size() == picture.pixels()) {
+        writeExr(path("P.exr"), passImage(picture, picture.points));
+        writeExr(path("N.exr"), passImage(picture, picture.normals));
+    }
     for (std::size_t l = 0; l < scene.lights().size(); ++l) {
         const std::string name = "truth-" + std::to_string(l + 1);
         const std::vector<float>& truth = session.lights()[l].truth;
@@ -447,7 +490,7 @@ void writePictures(const CompareScene& scene, const Session& session,
 void removeOld(const std::string& folder) {
     namespace fs = std::filesystem;
     const fs::path in(folder);
-    std::vector<std::string> names = {"report.html", "results.csv"};
+    std::vector<std::string> names = {"report.html", "results.csv", "P.exr", "N.exr"};
     std::ifstream file(in / "results.json");
     const Json old = Json::parse(file, nullptr, false);
     if (!old.is_object() || old.value("format", Json()) != "mtsm-compare") return;

@@ -38,6 +38,8 @@ std::string resultsText(const nlohmann::ordered_json& results);
 /// Writes pictures of truths and runs into `folder` and their names into `results`: PNG
 /// as shaded with a white surface, EXR with the shadow factor and its difference from the
 /// truth, PNG of the difference (red: too dark, blue: too light, full colour at 0.1).
+/// Where each pixel has one point that a camera took, P.exr and N.exr hold positions and
+/// normals, for mtsm-query.
 void writePictures(const CompareScene& scene, const Session& session,
                    const std::string& folder, Talk& talk,
                    nlohmann::ordered_json& results);

@@ -215,10 +215,6 @@ void CompareScene::takePicture(const CameraOptions& options, Talk& talk) {
     if (!options.positionPass.empty()) {
         if (options.points != 1)
             throw UsageError("--points: a position pass has one point a pixel");
-        if (options.position || options.target || options.up || options.fovDegrees)
-            throw UsageError(
-                "--camera-position, -target, -up and -fov are for pictures that a camera "
-                "takes; --position-pass has its own points");
         const Pass positions = unwrap(readPositionPass(options.positionPass));
         std::vector<glm::vec3> normals;
         if (!options.normalPass.empty())

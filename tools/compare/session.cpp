@@ -319,8 +319,23 @@ void Session::judge(std::size_t light, RunResult& result) const {
         baseline::measureErrors(result.values, truth, picture.object, cosines)};
 }
 
+void Session::sayWhatIsLeftOut() const {
+    std::set<std::string> said;
+    for (const PlannedRun& run : plan_) {
+        const bool strands = scene_.counts().segments > 0 && !run.method->strands;
+        const bool volumes = scene_.counts().voxels > 0 && !run.method->volumes;
+        if ((!strands && !volumes) || !said.insert(run.method->name).second) continue;
+        talk_.warn(run.method->name + " leaves out " +
+                   (strands && volumes ? "hair and volumes"
+                    : strands          ? "hair"
+                                       : "volumes") +
+                   ": they cast nothing in its row");
+    }
+}
+
 /// All runs under one light, in groups that memory holds.
 void Session::compareLight(std::size_t light) {
+    if (light == 0) sayWhatIsLeftOut();
     const std::size_t first = results_.size();
     for (std::size_t r = 0; r < plan_.size(); ++r) {
         results_.emplace_back();

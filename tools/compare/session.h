@@ -85,6 +85,7 @@ class Session {
     };
 
     void findTruth(std::size_t light);
+    void sayWhatIsLeftOut() const;
     void compareLight(std::size_t light);
     Built& built(std::size_t light, const PlannedRun& run);
     [[nodiscard]] std::uint64_t heldBytes() const;
