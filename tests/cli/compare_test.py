@@ -275,6 +275,18 @@ class Recommended(Compare):
                                          "--recommend", "time=10min"))
         self.check_followed(done)
 
+    def test_a_time_gets_the_most_accurate_map_within_it(self):
+        job()
+        done = self.good(self.of_job("--recommend", "time=10min", "--no-pictures"))
+        least = {}
+        for r in self.results()["runs"]:
+            mean = r["errors"]["image"]["mean"]
+            least[r["light"]] = min(least.get(r["light"], 1.0), mean)
+        said = [float(m) for m in re.findall(r"^  .*: mean error ([0-9.e-]+)", done.stderr, re.M)]
+        self.assertEqual(len(said), len(least))
+        for found, light in zip(said, sorted(least)):
+            self.assertAlmostEqual(found, least[light], delta=1e-5 + 1e-4 * least[light])
+
     def test_what_nothing_meets_is_told_with_the_nearest(self):
         job()
         done = self.good(self.of_job("--recommend", "time=0.000001ms", "--no-pictures"))
