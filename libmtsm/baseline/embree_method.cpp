@@ -103,8 +103,9 @@ class EmbreeMethod final : public Method {
     EmbreeReference scene_;
 };
 
-Result<std::unique_ptr<Method>> build(const MethodScene& scene, const Settings&) {
-    auto casters = EmbreeReference::build(scene.casters);
+Result<std::unique_ptr<Method>> build(const MethodScene& scene,
+                                      const Settings& settings) {
+    auto casters = EmbreeReference::build(scene.casters, settings.flag("robust"));
     if (!casters) return casters.error();
     return std::unique_ptr<Method>(new EmbreeMethod(std::move(*casters)));
 }
@@ -157,6 +158,10 @@ MethodInfo embreeMethod() {
         wholeSetting("most", 64, 1, kMaxSamples,
                      "adaptive: rays per point where the first ones disagree"),
     };
+    info.settings.back().with = "mode=adaptive";
+    info.settings.push_back(flagSetting(
+        "robust", false, "Embree's robust mode: slower, no ray slips through an edge",
+        SettingUse::build));
     info.build = build;
     return info;
 }

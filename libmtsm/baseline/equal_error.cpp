@@ -21,7 +21,7 @@ std::optional<Reached> cheapest(const std::vector<Measured>& runs, double error)
         if (!best || seconds < best->seconds) best = {seconds, label};
     };
     for (const Measured& run : runs)
-        if (run.error <= error) offer(run.seconds, run.label);
+        if (run.error <= error) offer(run.build + run.seconds, run.label);
     for (const Measured& a : runs) {
         if (a.series.empty() || !(a.error > error)) continue;
         // Its neighbour: the next larger number of samples in the series.
@@ -32,7 +32,7 @@ std::optional<Reached> cheapest(const std::vector<Measured>& runs, double error)
                 next = &b;
         }
         if (next && next->error < error && next->error > 0.0)
-            offer(secondsBetween(a, *next, error),
+            offer(a.build + secondsBetween(a, *next, error),
                   "between " + a.label + " and " + next->label);
     }
     return best;
@@ -41,9 +41,9 @@ std::optional<Reached> cheapest(const std::vector<Measured>& runs, double error)
 std::vector<std::size_t> paretoFront(const std::vector<Measured>& runs) {
     std::vector<std::size_t> order(runs.size());
     std::iota(order.begin(), order.end(), std::size_t(0));
+    const auto cost = [&](std::size_t i) { return runs[i].build + runs[i].seconds; };
     std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
-        return runs[a].seconds != runs[b].seconds ? runs[a].seconds < runs[b].seconds
-                                                  : runs[a].error < runs[b].error;
+        return cost(a) != cost(b) ? cost(a) < cost(b) : runs[a].error < runs[b].error;
     });
     std::vector<std::size_t> front;
     for (const std::size_t i : order)

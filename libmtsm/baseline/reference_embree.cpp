@@ -396,13 +396,21 @@ void EmbreeReference::Scene::shadows(const AreaLight& light, const glm::dvec3* p
     });
 }
 
+std::string embreeVersion() {
+    RTCDevice device = rtcNewDevice(nullptr);
+    const auto v = device ? rtcGetDeviceProperty(device, RTC_DEVICE_PROPERTY_VERSION) : 0;
+    if (device) rtcReleaseDevice(device);
+    return std::to_string(v / 10000) + "." + std::to_string(v / 100 % 100) + "." +
+           std::to_string(v % 100);
+}
+
 EmbreeReference::EmbreeReference(std::unique_ptr<Scene> scene)
     : scene_(std::move(scene)) {}
 EmbreeReference::EmbreeReference(EmbreeReference&&) noexcept = default;
 EmbreeReference& EmbreeReference::operator=(EmbreeReference&&) noexcept = default;
 EmbreeReference::~EmbreeReference() = default;
 
-Result<EmbreeReference> EmbreeReference::build(CasterSource& casters) {
+Result<EmbreeReference> EmbreeReference::build(CasterSource& casters, bool robust) {
     auto scene = std::make_unique<Scene>();
     scene->device = rtcNewDevice(nullptr);
     if (!scene->device)
@@ -410,10 +418,11 @@ Result<EmbreeReference> EmbreeReference::build(CasterSource& casters) {
     rtcSetDeviceMemoryMonitorFunction(scene->device, countMemory, &scene->memory);
     scene->scene = rtcNewScene(scene->device);
     // Measured (tests/bench/NOTES.md): HIGH gains nothing, and its spatial splits would
-    // count a transparent triangle twice; ROBUST costs a tenth at most; COMPACT costs a
-    // third, and together with ROBUST it does not come back.
+    // count a transparent triangle twice; COMPACT costs a fifth, and together with ROBUST
+    // it does not come back.
     rtcSetSceneBuildQuality(scene->scene, RTC_BUILD_QUALITY_MEDIUM);
-    rtcSetSceneFlags(scene->scene, RTC_SCENE_FLAG_ROBUST);
+    rtcSetSceneFlags(scene->scene,
+                     robust ? RTC_SCENE_FLAG_ROBUST : RTC_SCENE_FLAG_NONE);
     const Status read = casters.visit([&](const CasterView& caster) {
         return std::visit([&](const auto& view) { return scene->add(view); }, caster);
     });

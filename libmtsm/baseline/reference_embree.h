@@ -20,6 +20,7 @@
 #include <glm/vec3.hpp>
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "light/sample.h"
 #include "mtsm/light.h"
@@ -54,11 +55,14 @@ struct LightSeen {
     std::uint32_t dark = 0;   ///< with 0, those below the horizon among them
 };
 
+/// Embree's own, of the library that runs: "3.13.5".
+[[nodiscard]] std::string embreeVersion();
+
 class EmbreeReference {
   public:
-    /// Holds a copy of all casters. Errors: what visit() returns, badFile if Embree
-    /// fails.
-    static Result<EmbreeReference> build(CasterSource& casters);
+    /// Holds a copy of all casters. Not `robust`, rays may slip between two triangles:
+    /// faster, not for a truth. Errors: what visit() returns, badFile if Embree fails.
+    static Result<EmbreeReference> build(CasterSource& casters, bool robust = true);
     EmbreeReference(EmbreeReference&&) noexcept;
     EmbreeReference& operator=(EmbreeReference&&) noexcept;
     ~EmbreeReference();

@@ -65,21 +65,21 @@ std::string settingText(const SettingValue& value) {
 
 SettingInfo wholeSetting(std::string name, double fallback, double least, double most,
                          std::string help, SettingUse use) {
-    return {std::move(name), fallback, use, std::move(help), least, most, true, {}};
+    return {std::move(name), fallback, use, std::move(help), least, most, true, {}, {}};
 }
 SettingInfo numberSetting(std::string name, double fallback, double least, double most,
                           std::string help, SettingUse use) {
-    return {std::move(name), fallback, use, std::move(help), least, most, false, {}};
+    return {std::move(name), fallback, use, std::move(help), least, most, false, {}, {}};
 }
 SettingInfo flagSetting(std::string name, bool fallback, std::string help,
                         SettingUse use) {
-    return {std::move(name), fallback, use, std::move(help), 0.0, 0.0, false, {}};
+    return {std::move(name), fallback, use, std::move(help), 0.0, 0.0, false, {}, {}};
 }
 SettingInfo wordSetting(std::string name, std::vector<std::string> words,
                         std::string help, SettingUse use) {
     std::string fallback = words.front();
     return {std::move(name), std::move(fallback), use, std::move(help), 0.0, 0.0,
-            false,           std::move(words)};
+            false,           std::move(words), {}};
 }
 
 std::string nearestName(const std::string& wrong, const std::vector<std::string>& names) {
@@ -124,6 +124,13 @@ Result<Settings> Settings::complete(const std::vector<SettingInfo>& infos,
                                    ": found ", base::printable(settingText(value)),
                                    ", expected ", expected(infos[at]));
         settings.values_[at].second = meant;
+    }
+    for (std::size_t i = 0; i < infos.size(); ++i) {
+        const auto equals = infos[i].with.find('=');
+        if (equals == std::string::npos) continue;
+        const SettingValue& other = settings.find(infos[i].with.substr(0, equals));
+        if (settingText(other) != infos[i].with.substr(equals + 1))
+            settings.values_[i].second = infos[i].fallback;
     }
     return settings;
 }

@@ -34,6 +34,9 @@ struct SettingInfo {
     double least = 0.0, most = 0.0;
     bool whole = false;
     std::vector<std::string> words;  ///< that a word may be
+    /// "mode=adaptive": it counts only where another setting has this value; elsewhere it
+    /// stays at its fallback. Empty: always.
+    std::string with;
 };
 
 [[nodiscard]] SettingInfo wholeSetting(std::string name, double fallback, double least,
