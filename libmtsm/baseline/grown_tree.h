@@ -25,7 +25,7 @@
 
 namespace mtsm::baseline {
 
-struct Box {
+struct GrownBox {
     glm::vec3 low{std::numeric_limits<float>::infinity()};
     glm::vec3 high{-std::numeric_limits<float>::infinity()};
 
@@ -34,7 +34,7 @@ struct Box {
         high = glm::vec3(std::max(high.x, p.x), std::max(high.y, p.y),
                          std::max(high.z, p.z));
     }
-    void add(const Box& box) noexcept {
+    void add(const GrownBox& box) noexcept {
         add(box.low);
         add(box.high);
     }
@@ -97,7 +97,7 @@ class GrownTree {
   public:
     GrownTree() = default;
     /// Boxes must be finite.
-    explicit GrownTree(const std::vector<Box>& boxes);
+    explicit GrownTree(const std::vector<GrownBox>& boxes);
 
     /// [boxes]: the box that comes first, second and so on in the order of search().
     [[nodiscard]] const std::vector<std::uint32_t>& order() const noexcept {

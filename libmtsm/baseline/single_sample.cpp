@@ -323,7 +323,7 @@ void SingleSampleScene::add(const SoftSphere& sphere) {
 /// Builds the trees and brings all objects into their order.
 void SingleSampleScene::plant() {
     if (!uvs_.empty()) uvs_.resize(triangles_.size());
-    std::vector<Box> boxes(triangles_.size());
+    std::vector<GrownBox> boxes(triangles_.size());
     for (std::size_t i = 0; i < boxes.size(); ++i) {
         for (const glm::vec3& corner : triangles_[i].corners)
             boxes[i].add(corner);
