@@ -5,6 +5,7 @@
 #include <glm/geometric.hpp>
 #include <glm/gtc/constants.hpp>
 #include <glm/vec4.hpp>
+#include <unordered_map>
 
 #include "base/finite.h"
 #include "base/message.h"
@@ -51,9 +52,9 @@ struct Seen {
 
 /// The part of a triangle that counts, as a polygon.
 struct Polygon {
-    // Each of three planes adds one corner, or, where rounding bends the polygon, makes
+    // Each of four planes adds one corner, or, where rounding bends the polygon, makes
     // at most 3 of 2.
-    static constexpr std::size_t kMost = 9;
+    static constexpr std::size_t kMost = 13;
     std::array<glm::dvec4, kMost> corners;
     std::size_t count = 0;
 
@@ -115,6 +116,13 @@ Passing pass(const CentreRay& ray, const light::Frame& frame,
         polygon.clip([&](const glm::dvec4& q) { return ray.reach - q.z; });
     if (ray.normal != glm::dvec3(0.0))
         polygon.clip([&](const glm::dvec4& q) { return q.w; });
+    if (ray.shines != glm::dvec3(0.0)) {
+        const glm::dvec3 n(glm::dot(ray.shines, frame.x), glm::dot(ray.shines, frame.y),
+                           glm::dot(ray.shines, ray.direction));
+        polygon.clip([&](const glm::dvec4& q) {
+            return n.x * q.x + n.y * q.y + n.z * (q.z - ray.lightAt);
+        });
+    }
     // The ray is outside of what is left, so one of the sides is nearest.
     glm::dvec2 before(0.0);
     for (std::size_t i = 0; i <= polygon.count && polygon.count > 0; ++i) {
@@ -151,6 +159,9 @@ double tauOfSphere(const CentreRay& ray, glm::dvec3 centre, double radius) noexc
     const glm::dvec3 c = centre - ray.origin;
     const double t = glm::dot(c, ray.direction);
     if (t < 0.0 || t > ray.reach) return kInfinity;
+    if (ray.shines != glm::dvec3(0.0) &&
+        glm::dot(ray.shines, c - ray.lightAt * ray.direction) < 0.0)
+        return kInfinity;
     const double d = glm::length(c - t * ray.direction);
     return d <= radius ? 0.0 : (d - radius) / (t * ray.growth);
 }
@@ -169,6 +180,7 @@ struct SingleSampleScene::Search {
     WideRay wide;
     double limit = 1.0;    // what has a larger tau does not matter
     double visible = 1.0;  // s
+    std::unordered_map<std::uint32_t, double> meshes;  // s of each that was met
     std::uint64_t nodes = 0, objects = 0;
 
     Search(const SingleSampleScene& s, const SingleSampleOptions& o, const CentreRay& r,
@@ -179,19 +191,46 @@ struct SingleSampleScene::Search {
           wide(ray.origin, ray.direction, ray.reach, margin > 0.0 ? 0.0 : ray.growth,
                margin, size) {}
 
-    /// False: it is dark already.
-    bool take(double tau, double opacity) {
-        const double s = 1.0 - opacity * (1.0 - penumbra(tau));
+    [[nodiscard]] double visibleAt(double tau, double opacity) const {
+        return 1.0 - opacity * (1.0 - penumbra(tau));
+    }
+
+    /// Of an object that left `before` of the light and now leaves `s`.
+    void compose(double before, double s) {
         if (options.compose == Compose::minimum)
             visible = std::min(visible, s);
         else if (options.compose == Compose::multiply)
-            visible *= s;
+            visible *= s / before;
         else
-            visible -= 1.0 - s;
-        if (options.compose == Compose::minimum && opacity >= 1.0 && tau < limit) {
-            limit = tau;
-            if (options.bounds == GrownBounds::cone) wide.narrow(limit * ray.growth);
+            visible -= before - s;
+    }
+
+    /// What has a larger tau than an opaque object does not matter any more.
+    void narrow(double tau) {
+        limit = tau;
+        if (options.bounds == GrownBounds::cone) wide.narrow(limit * ray.growth);
+    }
+
+    /// A triangle of a mesh: only the darkest of each mesh counts. False: it is dark
+    /// already.
+    bool takeTriangle(std::uint32_t mesh, double tau, double opacity) {
+        const double s = visibleAt(tau, opacity);
+        if (options.compose == Compose::minimum) {
+            visible = std::min(visible, s);
+            if (opacity >= 1.0 && tau < limit) narrow(tau);
+            return visible > 0.0;
         }
+        double& before = meshes.try_emplace(mesh, 1.0).first->second;
+        if (s < before) {
+            compose(before, s);
+            before = s;
+        }
+        return visible > 0.0;
+    }
+    bool takeSphere(double tau, double opacity) {
+        compose(1.0, visibleAt(tau, opacity));
+        if (options.compose == Compose::minimum && opacity >= 1.0 && tau < limit)
+            narrow(tau);
         return visible > 0.0;
     }
 
@@ -237,7 +276,9 @@ struct SingleSampleScene::Search {
             const Passing passing = pass(ray, frame, corners);
             const double tau = tauOf(passing.slope, ray.growth);
             if (!(tau < limit)) continue;
-            if (!take(tau, opacityAt(i, corners, passing.nearest))) return false;
+            if (!takeTriangle(scene.triangles_[i].material, tau,
+                              opacityAt(i, corners, passing.nearest)))
+                return false;
         }
         return true;
     }
@@ -247,7 +288,7 @@ struct SingleSampleScene::Search {
         for (std::size_t i = begin; i < end; ++i) {
             const SoftSphere& sphere = scene.spheres_[i];
             const double tau = tauOfSphere(ray, sphere.centre, sphere.radius);
-            if (tau < limit && !take(tau, sphere.opacity)) return false;
+            if (tau < limit && !takeSphere(tau, sphere.opacity)) return false;
         }
         return true;
     }
@@ -410,6 +451,8 @@ std::optional<CentreRay> SingleSampleScene::centreRay(
     if (!(end > 0.0)) return std::nullopt;
     const bool sun = sampler.shape() == LightShape::sun;
     ray.reach = std::min(sun ? kInfinity : reach, end * (1.0 + 1e-9));
+    ray.shines = sampler.shines();
+    ray.lightAt = reach;
     if (!options.hard) ray.growth = sun ? diameter : diameter / reach;
     return ray;
 }

@@ -304,6 +304,62 @@ TEST_CASE("two shadows come together as sum, product or minimum",
     CHECK(both > 10);
 }
 
+TEST_CASE("a mesh casts one shadow, however finely it is cut", "[single-sample][twin]") {
+    const Compose compose = GENERATE(Compose::minimum, Compose::multiply, Compose::add);
+    const auto square = [](std::uint32_t n) {
+        Mesh mesh;
+        for (std::uint32_t i = 0; i <= n; ++i)
+            for (std::uint32_t j = 0; j <= n; ++j)
+                mesh.positions.emplace_back(-0.5f + float(i) / float(n), 1.5f,
+                                            -0.5f + float(j) / float(n));
+        for (std::uint32_t i = 0; i < n; ++i)
+            for (std::uint32_t j = 0; j < n; ++j) {
+                const std::uint32_t a = i * (n + 1) + j, b = a + n + 1;
+                mesh.indices.insert(mesh.indices.end(), {a, a + 1, b, a + 1, b + 1, b});
+            }
+        return mesh;
+    };
+    SingleSampleOptions options;
+    options.compose = compose;
+    const Floor floor(30, 4.0);
+    const Mesh whole = square(1), fine = square(16);
+    const AreaLight light = sphereLight({0, 4, 0}, 0.5);
+    const auto expected = shadows(sceneOf({whole.view()}), light, floor.points, options,
+                                  floor.normals),
+               found = shadows(sceneOf({fine.view()}), light, floor.points, options,
+                               floor.normals);
+    int soft = 0;
+    for (std::size_t i = 0; i < found.size(); ++i) {
+        CHECK(found[i] == Approx(expected[i]).margin(1e-5));
+        soft += found[i] > 0.01f && found[i] < 0.99f;
+    }
+    CHECK(soft > 50);
+}
+
+TEST_CASE("what lies behind a light that shines to one side casts nothing",
+          "[single-sample][exact]") {
+    const Mesh ceiling = test::quadMesh({-5, 3.02, -5}, {10, 0, 0}, {0, 0, 10});
+    const SingleSampleScene scene = sceneOf({ceiling.view()}, {{{1, 3.6, 0}, 0.5}});
+    AreaLight light;
+    light.shape = GENERATE(LightShape::disk, LightShape::rect);
+    light.position = {0, 3, 0};
+    light.direction = {0, -1, 0};
+    light.radius = 0.3;
+    light.size = {0.6, 0.6};
+    const Floor floor(20, 8.0);
+    for (const float dark : shadows(scene, light, floor.points, {}, floor.normals))
+        CHECK(dark == 0.0f);
+    // A wall that reaches up past the light casts with its part in front.
+    const Mesh low = test::quadMesh({0.5, 0, -9}, {0, 3, 0}, {0, 0, 18}),
+               high = test::quadMesh({0.5, 0, -9}, {0, 9, 0}, {0, 0, 18});
+    const auto cut = shadows(sceneOf({high.view()}), light, floor.points, {},
+                             floor.normals),
+               whole =
+                   shadows(sceneOf({low.view()}), light, floor.points, {}, floor.normals);
+    for (std::size_t i = 0; i < cut.size(); ++i)
+        CHECK(cut[i] == Approx(whole[i]).margin(1e-5));
+}
+
 TEST_CASE("the tree finds what a search through all objects finds",
           "[single-sample][twin]") {
     Random random;
@@ -321,7 +377,7 @@ TEST_CASE("the tree finds what a search through all objects finds",
         std::vector<std::array<double, 3>> expected;  // minimum, product, sum
         for (const glm::dvec3& p : points) {
             CentreRay ray = rayTo(p, light.position, hard ? 0.0 : 2 * light.radius);
-            double least = 1.0, product = 1.0, sum = 0.0;
+            double least = 1.0, product = 1.0, sum = 0.0, nearest = HUGE_VAL;
             const auto add = [&](double tau) {
                 const double s = bernstein(tau);
                 least = std::min(least, s);
@@ -329,10 +385,12 @@ TEST_CASE("the tree finds what a search through all objects finds",
                 sum += 1 - s;
             };
             for (std::size_t t = 0; t < mesh.indices.size(); t += 3)
-                add(tauOfTriangle(ray,
-                                  {glm::dvec3(mesh.positions[mesh.indices[t]]),
-                                   glm::dvec3(mesh.positions[mesh.indices[t + 1]]),
-                                   glm::dvec3(mesh.positions[mesh.indices[t + 2]])}));
+                nearest = std::min(
+                    nearest, tauOfTriangle(
+                                 ray, {glm::dvec3(mesh.positions[mesh.indices[t]]),
+                                       glm::dvec3(mesh.positions[mesh.indices[t + 1]]),
+                                       glm::dvec3(mesh.positions[mesh.indices[t + 2]])}));
+            add(nearest);
             for (const SoftSphere& s : spheres)
                 add(tauOfSphere(ray, s.centre, s.radius));
             expected.push_back({1 - least, 1 - product, std::min(1.0, sum)});
@@ -512,8 +570,8 @@ TEST_CASE("single sample shadows are finite for whatever comes",
 
 TEST_CASE("the row single-sample answers by its settings, alike on any number of threads",
           "[single-sample]") {
-    const Mesh body = test::bumpyBody(3000);
-    CasterViews casters({body.view()});
+    const Mesh body = test::bumpyBody(3000), ball = test::ballMesh({0.5, 2, 0}, 0.4, 8);
+    CasterViews casters({body.view(), ball.view()});
     BakeOptions bake;
     bake.light = sphereLight({2, 5, 1}, 0.5);
     const MethodScene scene{casters, bake, {}};
