@@ -69,7 +69,7 @@ struct ShadowView {
 class ShadowCasters {
   public:
     /// `warn`, if not empty, is told what does not cast. Errors: what visit() returns,
-    /// tooLarge beyond 2^32 vertices.
+    /// tooLarge beyond 2^32 vertices or without enough memory.
     static Result<ShadowCasters> build(
         CasterSource& source, const std::function<void(const std::string&)>& warn = {});
     ShadowCasters(ShadowCasters&&) noexcept;

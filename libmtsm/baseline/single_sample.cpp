@@ -5,6 +5,7 @@
 #include <glm/geometric.hpp>
 #include <glm/gtc/constants.hpp>
 #include <glm/vec4.hpp>
+#include <new>
 #include <unordered_map>
 
 #include "base/finite.h"
@@ -396,19 +397,25 @@ void SingleSampleScene::plant() {
 
 Result<SingleSampleScene> SingleSampleScene::build(
     CasterSource& casters, const std::vector<SoftSphere>& spheres) {
-    SingleSampleScene scene;
-    const Status read =
-        casters.visit(meshesOnly([&](const MeshView& mesh) { return scene.add(mesh); }));
-    if (!read) return read.error();
-    for (const SoftSphere& sphere : spheres)
-        scene.add(sphere);
-    if (scene.triangles_.empty() && scene.spheres_.empty())
-        return base::makeError(
-            ErrorCode::unsupported,
-            "single-sample casts shadows of meshes and spheres; found none among the "
-            "casters (it casts neither strands nor volumes)");
-    scene.plant();
-    return scene;
+    try {
+        SingleSampleScene scene;
+        const Status read = casters.visit(
+            meshesOnly([&](const MeshView& mesh) { return scene.add(mesh); }));
+        if (!read) return read.error();
+        for (const SoftSphere& sphere : spheres)
+            scene.add(sphere);
+        if (scene.triangles_.empty() && scene.spheres_.empty())
+            return base::makeError(
+                ErrorCode::unsupported,
+                "single-sample casts shadows of meshes and spheres; found none among the "
+                "casters (it casts neither strands nor volumes)");
+        scene.plant();
+        return scene;
+    } catch (const std::bad_alloc&) {
+        return Error{ErrorCode::tooLarge,
+                     "single-sample: there is not enough memory for a copy of the "
+                     "casters; leave some of them out"};
+    }
 }
 
 std::uint64_t SingleSampleScene::memoryBytes() const noexcept {
@@ -543,6 +550,8 @@ MethodInfo singleSampleMethod() {
                     "by the light's diameter"),
         flagSetting("hard", false, "plain hard shadows from the light's centre"),
     };
+    // Without a light's width nothing grows.
+    info.settings[1].with = "hard=false";
     info.build = build;
     return info;
 }

@@ -126,7 +126,7 @@ struct SingleSampleWork {
 class SingleSampleScene {
   public:
     /// Holds a copy of all meshes. unsupported if there is neither a sphere nor a
-    /// triangle to cast; tooLarge above 2^32 of them.
+    /// triangle to cast; tooLarge above 2^32 of them or without enough memory.
     static Result<SingleSampleScene> build(CasterSource& casters,
                                            const std::vector<SoftSphere>& spheres = {});
 
