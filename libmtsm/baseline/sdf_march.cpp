@@ -136,7 +136,9 @@ MethodInfo sdfMethod() {
     info.perLight = false;
     info.settings = {
         wholeSetting("resolution", 128, 8, 1024,
-                     "voxels along the longest side of the casters", SettingUse::build),
+                     "voxels along the longest side of all casters together: a large "
+                     "ground leaves few for what stands on it",
+                     SettingUse::build),
         wholeSetting("steps", 128, 1, 100'000, "most steps of a ray"),
         numberSetting("epsilon", 0.0, 0.0, 1e9,
                       "where a ray starts, world units; 0: two voxels"),

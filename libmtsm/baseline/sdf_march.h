@@ -26,6 +26,10 @@
 //
 // A ray to the centre that hits is dark: the inner half of the penumbra is missing, and
 // there is more shadow than there should be, as the article says.
+//
+// Voxels are spent on the longest side of all casters together. A ground a hundred times
+// as long as the figure on it leaves the figure one or two of 128: leave such a ground
+// out of the casters (a receiver need not cast), or ask for more voxels.
 #pragma once
 #include <cstddef>
 #include <glm/vec3.hpp>

@@ -362,6 +362,28 @@ void SingleSampleScene::add(const SoftSphere& sphere) {
     spheres_.back().centre -= origin_;
 }
 
+namespace {
+
+/// Brings each item to its place in the order without a copy of them all. The order
+/// serves several lists.
+template <typename Item>
+void arrange(std::vector<Item>& items, std::vector<std::uint32_t> order) {
+    for (std::uint32_t i = 0; i < order.size(); ++i) {
+        // Along the cycle that i is in; its places are marked as done.
+        Item first = std::move(items[i]);
+        std::uint32_t to = i;
+        for (std::uint32_t from = order[to]; from != i; from = order[to]) {
+            items[to] = std::move(items[from]);
+            order[to] = to;
+            to = from;
+        }
+        items[to] = std::move(first);
+        order[to] = to;
+    }
+}
+
+}  // namespace
+
 /// Builds the trees and brings all objects into their order.
 void SingleSampleScene::plant() {
     if (!uvs_.empty()) uvs_.resize(triangles_.size());
@@ -371,17 +393,11 @@ void SingleSampleScene::plant() {
             boxes[i].add(corner);
     }
     triangleTree_ = GrownTree(boxes);
-    const auto sorted = [](const auto& items, const GrownTree& tree) {
-        auto result = items;
-        for (std::size_t i = 0; i < items.size(); ++i)
-            result[i] = items[tree.order()[i]];
-        return result;
-    };
-    triangles_ = sorted(triangles_, triangleTree_);
-    if (!uvs_.empty()) uvs_ = sorted(uvs_, triangleTree_);
-    triangleTree_.forgetOrder();
+    boxes = std::vector<GrownBox>(spheres_.size());
+    std::vector<std::uint32_t> order = triangleTree_.takeOrder();
+    if (!uvs_.empty()) arrange(uvs_, order);
+    arrange(triangles_, std::move(order));
 
-    boxes.assign(spheres_.size(), {});
     for (std::size_t i = 0; i < boxes.size(); ++i) {
         // To float and outwards: 1e-7 is more than half of a float's last place.
         const glm::dvec3 c = spheres_[i].centre, r(spheres_[i].radius);
@@ -391,8 +407,7 @@ void SingleSampleScene::plant() {
         boxes[i].add(glm::vec3(c + r + more));
     }
     sphereTree_ = GrownTree(boxes);
-    spheres_ = sorted(spheres_, sphereTree_);
-    sphereTree_.forgetOrder();
+    arrange(spheres_, sphereTree_.takeOrder());
 }
 
 Result<SingleSampleScene> SingleSampleScene::build(
@@ -434,14 +449,18 @@ std::optional<CentreRay> SingleSampleScene::centreRay(
     const light::LightSampler& sampler, double diameter, glm::dvec3 point,
     glm::dvec3 normal, const SingleSampleOptions& options) const noexcept {
     CentreRay ray;
-    const double offset = options.offset * glm::length(high_ - low_);
     const glm::dvec3 towards = sampler.towards(point);
     const double way = glm::length(towards);
     if (!(way > 0.0)) return std::nullopt;
-    ray.normal = normal;
-    ray.origin =
-        point + offset * (normal != glm::dvec3(0.0) ? normal : towards / way) - origin_;
     ray.nearest = kNearest * glm::length(high_ - low_);
+    // Along each axis floats resolve a share of the largest coordinate.
+    const glm::dvec3 out = normal != glm::dvec3(0.0) ? normal : towards / way,
+                     far = glm::max(glm::abs(low_ - origin_), glm::abs(high_ - origin_));
+    const double offset =
+        options.offset > 0.0 ? options.offset * glm::dot(glm::abs(out), far) + ray.nearest
+                             : 0.0;
+    ray.normal = normal;
+    ray.origin = point + offset * out - origin_;
     // Where the casters end along the ray.
     const glm::dvec3 lit = sampler.shape() == LightShape::sun
                                ? towards

@@ -114,8 +114,9 @@ struct SingleSampleOptions {
     GrownBounds bounds = GrownBounds::cone;
     bool hard = false;  ///< plain shadow rays to the light's centre
     /// Rays start this far from the receiver, along its normal if there is one, as a
-    /// share of the diagonal of the casters' bounds.
-    double offset = 1e-5;
+    /// share of how far the casters reach in that direction from their first corner: what
+    /// floats lose. A large ground does not count for a receiver that lies flat on it.
+    double offset = 2e-6;
 };
 
 /// What batches did: each adds to what is there.

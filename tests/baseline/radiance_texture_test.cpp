@@ -869,6 +869,14 @@ TEST_CASE("triangles are paired with those of their size", "[baseline]") {
     CHECK(pairs[2].first == 0);
     CHECK(pairs[2].second == TrianglePair::kNone);
     CHECK(receivers[5].texels == glm::uvec2(0));
+
+    // A long one and a tall one would take more together than each alone.
+    std::vector<RadianceReceiver> crossed{
+        triangleReceiver({0, 0, 0}, {20, 0, 0}, {0, 1, 0}),
+        triangleReceiver({0, 0, 0}, {1, 0, 0}, {0, 20, 0})};
+    CHECK(pairTriangles(crossed, options).size() == 2);
+    CHECK(crossed[0].texels.x * crossed[0].texels.y == 200 * 10);
+    CHECK(crossed[1].texels.x * crossed[1].texels.y == 200 * 10);
 }
 
 TEST_CASE("textures do not depend on the number of threads", "[baseline]") {

@@ -410,3 +410,20 @@ TEST_CASE("a ceiling does not darken the floor under a lamp that hangs from it",
     for (std::size_t i = 0; i < alone.size(); ++i)
         CHECK(under[i] == Approx(alone[i]).margin(1e-3));
 }
+
+TEST_CASE("marched shadows are the same far from the world's origin", "[sdf]") {
+    const glm::dvec3 far(1e6, -2e6, 3e6);
+    const Mesh ball = test::ballMesh({0.1, 1.5, 0}, 0.5, 24);
+    Floor floor(20, 4.0);
+    MeshView view = ball.view();
+    AreaLight light = sphereLight({0.5, 6, 0.3}, 0.4);
+    const auto near = shadows(*fieldOf({view}, 64), light, floor);
+    view.worldFromObject[3] = glm::dvec4(far, 1.0);
+    light.position += far;
+    for (glm::dvec3& p : floor.points)
+        p += far;
+    const auto there = shadows(*fieldOf({view}, 64), light, floor);
+    CHECK(test::mean(near) > 0.03);
+    for (std::size_t i = 0; i < near.size(); ++i)
+        CHECK(there[i] == Approx(near[i]).margin(1e-3));
+}

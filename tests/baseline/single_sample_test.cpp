@@ -336,6 +336,40 @@ TEST_CASE("a mesh casts one shadow, however finely it is cut", "[single-sample][
     CHECK(soft > 50);
 }
 
+TEST_CASE("a ground far larger than what stands on it does not lose its shadow",
+          "[single-sample]") {
+    const Mesh box = test::boxMesh({-0.5f, 0.2f, -0.5f}, {0.5f, 1.2f, 0.5f});
+    const AreaLight light = sphereLight({0, 6, 0}, 0.2);
+    for (const double half : {5.0, 5e3, 5e5}) {
+        const Mesh ground =
+            test::quadMesh({-half, 0, -half}, {0, 0, 2 * half}, {2 * half, 0, 0});
+        const SingleSampleScene scene = sceneOf({ground.view(), box.view()});
+        INFO("half side " << half);
+        const std::vector<glm::dvec3> points{{0, 0, 0.1}, {2, 0, 0}}, up(2, {0, 1, 0});
+        CHECK(shadows(scene, light, points, {}, up) == std::vector<float>{1.0f, 0.0f});
+        CHECK(shadows(scene, light, points)[0] == 1.0f);
+    }
+}
+
+TEST_CASE("single sample shadows are the same far from the world's origin",
+          "[single-sample]") {
+    const glm::dvec3 far(1e6, -2e6, 3e6);
+    const Mesh ball = test::ballMesh({0.1, 1.5, 0}, 0.5, 24);
+    const Floor floor(30, 4.0);
+    MeshView view = ball.view();
+    AreaLight light = sphereLight({0.5, 6, 0.3}, 0.4);
+    const auto near = shadows(sceneOf({view}), light, floor.points, {}, floor.normals);
+    view.worldFromObject[3] = glm::dvec4(far, 1.0);
+    light.position += far;
+    std::vector<glm::dvec3> points;
+    for (const glm::dvec3 p : floor.points)
+        points.push_back(p + far);
+    const auto there = shadows(sceneOf({view}), light, points, {}, floor.normals);
+    CHECK(test::mean(near) > 0.05);
+    for (std::size_t i = 0; i < near.size(); ++i)
+        CHECK(there[i] == Approx(near[i]).margin(1e-4));
+}
+
 TEST_CASE("what lies behind a light that shines to one side casts nothing",
           "[single-sample][exact]") {
     const Mesh ceiling = test::quadMesh({-5, 3.02, -5}, {10, 0, 0}, {0, 0, 10});
