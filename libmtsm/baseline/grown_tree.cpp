@@ -3,6 +3,8 @@
 #include <cmath>
 #include <numeric>
 
+#include "base/parallel.h"
+
 namespace mtsm::baseline {
 namespace {
 
@@ -12,6 +14,7 @@ constexpr double kFlat = 1e-30;
 constexpr float kRounding = 1e-6f;
 
 constexpr int kBins = 16;
+constexpr std::uint32_t kTask = 1u << 14;  // boxes that one thread builds over
 
 float halfArea(const GrownBox& box) {
     const glm::vec3 d = box.high - box.low;
@@ -176,10 +179,34 @@ struct GrownTree::Builder {
             }
             nodes[at].child[c] = c < count ? parts[c].begin : 0;
             nodes[at].count[c] = c < count ? parts[c].size() : 0;
-            if (c >= count || parts[c].size() <= kLeaf) continue;
-            const std::uint32_t child = build(parts[c]);
+        }
+        const auto hasNodes = [&](std::size_t c) {
+            return c < count && parts[c].size() > kLeaf;
+        };
+        const auto link = [&](std::size_t c, std::uint32_t child) {
             nodes[at].child[c] = child;
             nodes[at].count[c] = 0;
+        };
+        if (whole.size() <= kTask) {
+            for (std::size_t c = 0; c < kWidth; ++c)
+                if (hasNodes(c)) link(c, build(parts[c]));
+            return at;
+        }
+        // Side by side, then one behind the other as if built in turn.
+        std::array<std::vector<Node>, kWidth> below;
+        base::parallelFor(std::size_t(0), kWidth, [&](std::size_t c) {
+            if (hasNodes(c)) Builder{boxes, below[c], order}.build(parts[c]);
+        });
+        for (std::size_t c = 0; c < kWidth; ++c) {
+            if (!hasNodes(c)) continue;
+            const auto first = std::uint32_t(nodes.size());
+            link(c, first);
+            for (Node node : below[c]) {
+                for (std::size_t i = 0; i < kWidth; ++i)
+                    if (node.count[i] == 0) node.child[i] += first;
+                nodes.push_back(node);
+            }
+            below[c] = {};
         }
         return at;
     }

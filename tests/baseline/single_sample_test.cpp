@@ -304,6 +304,35 @@ TEST_CASE("two shadows come together as sum, product or minimum",
     CHECK(both > 10);
 }
 
+TEST_CASE("a large scene's tree is the same for any number of threads",
+          "[single-sample][twin]") {
+    Random random;
+    const Mesh mesh = confetti(70'000, 0.02f, random);  // some tasks' worth
+    std::vector<glm::dvec3> points;
+    for (int i = 0; i < 500; ++i)
+        points.push_back(random.inCube(1.3));
+    const AreaLight light = sphereLight({0.4, 1.3, -0.2}, 0.1);
+    std::vector<float> found[2];
+    const tbb::global_control most(tbb::global_control::max_allowed_parallelism, 4);
+    for (int i = 0; i < 2; ++i) {
+        tbb::task_arena arena(i == 0 ? 1 : 4);
+        arena.execute([&] { found[i] = shadows(sceneOf({mesh.view()}), light, points); });
+    }
+    CHECK(found[0] == found[1]);
+    // The first few against all triangles.
+    for (std::size_t i = 0; i < 20; ++i) {
+        const CentreRay ray = rayTo(points[i], light.position, 2 * light.radius);
+        double tau = HUGE_VAL;
+        for (std::size_t t = 0; t < mesh.indices.size(); t += 3)
+            tau = std::min(
+                tau,
+                tauOfTriangle(ray, {glm::dvec3(mesh.positions[mesh.indices[t]]),
+                                    glm::dvec3(mesh.positions[mesh.indices[t + 1]]),
+                                    glm::dvec3(mesh.positions[mesh.indices[t + 2]])}));
+        CHECK(found[0][i] == Approx(1 - bernstein(tau)).margin(1e-3));
+    }
+}
+
 TEST_CASE("a mesh casts one shadow, however finely it is cut", "[single-sample][twin]") {
     const Compose compose = GENERATE(Compose::minimum, Compose::multiply, Compose::add);
     const auto square = [](std::uint32_t n) {
