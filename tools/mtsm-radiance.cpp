@@ -72,6 +72,8 @@ constexpr const char* kExamples =
     "                  -o ground.png\n";
 
 constexpr std::size_t kMostReceivers = 4096;
+// Of the meshes that --receivers names: finding faces takes some 500 bytes for each.
+constexpr std::size_t kMostFaceTriangles = std::size_t(1) << 20;
 constexpr int kMostSamples = kMaxGridSide * kMaxGridSide;
 
 struct LightArguments {
@@ -310,8 +312,16 @@ std::vector<RadianceReceiver> namedReceivers(const Arguments& a, Talk& talk) {
     }
     if (files.empty()) throw UsageError("--receivers: none of the inputs is a mesh file");
     std::vector<RadianceReceiver> receivers;
+    std::size_t triangles = 0;
     CasterFiles source(std::move(files), filesOptions(talk));
     unwrap(source.visit(meshesOnly([&](const MeshView& mesh) -> Status {
+        triangles += mesh.triangleCount;
+        if (triangles > kMostFaceTriangles)
+            return Error{ErrorCode::badArgument,
+                         "--receivers: found more than " +
+                             std::to_string(kMostFaceTriangles) +
+                             " triangles to find flat faces in, expected fewer; choose "
+                             "by narrower names"};
         for (RadianceReceiver& receiver : meshReceivers(mesh)) {
             receiver.name = "face " + std::to_string(receivers.size());
             receivers.push_back(std::move(receiver));

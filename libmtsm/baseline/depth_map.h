@@ -16,7 +16,8 @@ Result<BakeOptions> aimedOptions(CasterSource& casters, const BakeOptions& optio
 
 /// The nearest `layers` surfaces at every pixel's centre, the casters taken as opaque
 /// (opaque_casters.h). Of a textured mesh a pixel has what stops half of the light or
-/// more, as an alpha test does; its texture is filtered over the pixel. Of `options`
+/// more, as an alpha test does; its texture is filtered over the pixel. Surfaces at one
+/// and the same depth are one, which stops what all of them stop. Of `options`
 /// those that concern light that passes through (tolerance, subsamples, color) do not
 /// count. Errors: bake()'s.
 Result<ShadowMap> bakeDepthMap(CasterSource& casters, BakeOptions options,

@@ -3,6 +3,8 @@
 #include <cmath>
 #include <numeric>
 
+#include "base/parallel.h"
+
 namespace mtsm::baseline {
 namespace {
 
@@ -12,13 +14,14 @@ constexpr double kFlat = 1e-30;
 constexpr float kRounding = 1e-6f;
 
 constexpr int kBins = 16;
+constexpr std::uint32_t kTask = 1u << 14;  // boxes that one thread builds over
 
-float halfArea(const Box& box) {
+float halfArea(const GrownBox& box) {
     const glm::vec3 d = box.high - box.low;
     return d.x * d.y + d.y * d.z + d.z * d.x;
 }
 
-glm::vec3 centre(const Box& box) {
+glm::vec3 centre(const GrownBox& box) {
     return 0.5f * (box.low + box.high);
 }
 
@@ -66,14 +69,14 @@ void WideRay::narrow(double growth) noexcept {
 
 struct GrownTree::Range {
     std::uint32_t begin = 0, end = 0;
-    Box box;
+    GrownBox box;
     int depth = 0;  // in halvings
 
     [[nodiscard]] std::uint32_t size() const { return end - begin; }
 };
 
 struct GrownTree::Builder {
-    const std::vector<Box>& boxes;
+    const std::vector<GrownBox>& boxes;
     std::vector<Node>& nodes;
     std::vector<std::uint32_t>& order;
 
@@ -86,7 +89,7 @@ struct GrownTree::Builder {
 
     /// Where the second half begins: the order within the range is changed to suit.
     std::uint32_t split(const Range& r) {
-        Box centres;
+        GrownBox centres;
         for (std::uint32_t i = r.begin; i < r.end; ++i)
             centres.add(centre(boxes[order[i]]));
         const glm::vec3 extent = centres.high - centres.low;
@@ -117,7 +120,7 @@ struct GrownTree::Builder {
     /// The bin at which to cut: the least sum of area times number of both sides.
     template <typename BinOf>
     int cheapest(const Range& r, const BinOf& binOf) const {
-        std::array<Box, kBins> bins;
+        std::array<GrownBox, kBins> bins;
         std::array<std::uint32_t, kBins> counts{};
         for (std::uint32_t i = r.begin; i < r.end; ++i) {
             const auto bin = std::size_t(binOf(order[i]));
@@ -125,7 +128,7 @@ struct GrownTree::Builder {
             ++counts[bin];
         }
         std::array<float, kBins> above{};  // cost of bins [b, kBins)
-        Box box;
+        GrownBox box;
         std::uint32_t count = 0;
         for (int b = kBins - 1; b > 0; --b) {
             box.add(bins[std::size_t(b)]);
@@ -169,23 +172,47 @@ struct GrownTree::Builder {
         const auto at = std::uint32_t(nodes.size());
         nodes.emplace_back();
         for (std::size_t c = 0; c < kWidth; ++c) {
-            const Box box = c < count ? parts[c].box : Box{};
+            const GrownBox box = c < count ? parts[c].box : GrownBox{};
             for (int a = 0; a < 3; ++a) {
                 nodes[at].plane[0][a][c] = box.low[a];
                 nodes[at].plane[1][a][c] = box.high[a];
             }
             nodes[at].child[c] = c < count ? parts[c].begin : 0;
             nodes[at].count[c] = c < count ? parts[c].size() : 0;
-            if (c >= count || parts[c].size() <= kLeaf) continue;
-            const std::uint32_t child = build(parts[c]);
+        }
+        const auto hasNodes = [&](std::size_t c) {
+            return c < count && parts[c].size() > kLeaf;
+        };
+        const auto link = [&](std::size_t c, std::uint32_t child) {
             nodes[at].child[c] = child;
             nodes[at].count[c] = 0;
+        };
+        if (whole.size() <= kTask) {
+            for (std::size_t c = 0; c < kWidth; ++c)
+                if (hasNodes(c)) link(c, build(parts[c]));
+            return at;
+        }
+        // Side by side, then one behind the other as if built in turn.
+        std::array<std::vector<Node>, kWidth> below;
+        base::parallelFor(std::size_t(0), kWidth, [&](std::size_t c) {
+            if (hasNodes(c)) Builder{boxes, below[c], order}.build(parts[c]);
+        });
+        for (std::size_t c = 0; c < kWidth; ++c) {
+            if (!hasNodes(c)) continue;
+            const auto first = std::uint32_t(nodes.size());
+            link(c, first);
+            for (Node node : below[c]) {
+                for (std::size_t i = 0; i < kWidth; ++i)
+                    if (node.count[i] == 0) node.child[i] += first;
+                nodes.push_back(node);
+            }
+            below[c] = {};
         }
         return at;
     }
 };
 
-GrownTree::GrownTree(const std::vector<Box>& boxes) : order_(boxes.size()) {
+GrownTree::GrownTree(const std::vector<GrownBox>& boxes) : order_(boxes.size()) {
     if (boxes.empty()) return;
     std::iota(order_.begin(), order_.end(), 0u);
     Builder builder{boxes, nodes_, order_};

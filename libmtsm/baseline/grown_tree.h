@@ -1,7 +1,7 @@
 // grown_tree.h - a tree of boxes for shadow rays that have a width: what a ray comes near
 // is found beside what it hits.
 //
-//     GrownTree tree(boxes);                       // put your items in tree.order()
+//     GrownTree tree(boxes);                       // put your items in tree.takeOrder()
 //     tree.search(ray, false, [&](std::size_t begin, std::size_t end) { ...; return true;
 //     });
 //
@@ -21,11 +21,12 @@
 #include <cstdint>
 #include <glm/vec3.hpp>
 #include <limits>
+#include <utility>
 #include <vector>
 
 namespace mtsm::baseline {
 
-struct Box {
+struct GrownBox {
     glm::vec3 low{std::numeric_limits<float>::infinity()};
     glm::vec3 high{-std::numeric_limits<float>::infinity()};
 
@@ -34,7 +35,7 @@ struct Box {
         high = glm::vec3(std::max(high.x, p.x), std::max(high.y, p.y),
                          std::max(high.z, p.z));
     }
-    void add(const Box& box) noexcept {
+    void add(const GrownBox& box) noexcept {
         add(box.low);
         add(box.high);
     }
@@ -97,20 +98,18 @@ class GrownTree {
   public:
     GrownTree() = default;
     /// Boxes must be finite.
-    explicit GrownTree(const std::vector<Box>& boxes);
+    explicit GrownTree(const std::vector<GrownBox>& boxes);
 
-    /// [boxes]: the box that comes first, second and so on in the order of search().
-    [[nodiscard]] const std::vector<std::uint32_t>& order() const noexcept {
-        return order_;
-    }
-    void forgetOrder() { order_ = {}; }
+    /// [boxes]: the box that comes first, second and so on in the order of search(). The
+    /// tree does without.
+    [[nodiscard]] std::vector<std::uint32_t> takeOrder() { return std::move(order_); }
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept {
         return nodes_.size() * sizeof(Node) + order_.size() * sizeof(std::uint32_t);
     }
 
-    /// Calls visit(begin, end) with ranges of places in order() that together hold every
-    /// box that the ray comes near; on false it stops. With `nearestFirst` what is near
-    /// to the ray's middle comes early: good if `visit` narrows the ray. Returns the
+    /// Calls visit(begin, end) with ranges of places in the order that together hold
+    /// every box that the ray comes near; on false it stops. With `nearestFirst` what is
+    /// near to the ray's middle comes early: good if `visit` narrows the ray. Returns the
     /// number of nodes it went through.
     template <typename Visit>
     std::size_t search(const WideRay& ray, bool nearestFirst, const Visit& visit) const {

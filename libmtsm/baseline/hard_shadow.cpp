@@ -7,6 +7,7 @@
 #include <glm/matrix.hpp>
 #include <glm/vec4.hpp>
 #include <limits>
+#include <new>
 #include <optional>
 #include <vector>
 
@@ -263,15 +264,22 @@ ShadowCasters::~ShadowCasters() = default;
 
 Result<ShadowCasters> ShadowCasters::build(
     CasterSource& source, const std::function<void(const std::string&)>& warn) {
-    auto content = std::make_unique<Content>();
-    const Status read = source.visit([&](const CasterView& caster) {
-        return std::visit([&](const auto& view) { return content->add(view); }, caster);
-    });
-    if (!read) return read.error();
-    if (content->volumes && warn)
-        warn("volumes do not cast: a projected shadow has no depth to march through");
-    content->plantTrees();
-    return ShadowCasters(std::move(content));
+    try {
+        auto content = std::make_unique<Content>();
+        const Status read = source.visit([&](const CasterView& caster) {
+            return std::visit([&](const auto& view) { return content->add(view); },
+                              caster);
+        });
+        if (!read) return read.error();
+        if (content->volumes && warn)
+            warn("volumes do not cast: a projected shadow has no depth to march through");
+        content->plantTrees();
+        return ShadowCasters(std::move(content));
+    } catch (const std::bad_alloc&) {
+        return Error{ErrorCode::tooLarge,
+                     "there is not enough memory for a copy of the "
+                     "casters; leave some of them out"};
+    }
 }
 
 namespace {

@@ -69,7 +69,7 @@ struct ShadowView {
 class ShadowCasters {
   public:
     /// `warn`, if not empty, is told what does not cast. Errors: what visit() returns,
-    /// tooLarge beyond 2^32 vertices.
+    /// tooLarge beyond 2^32 vertices or without enough memory.
     static Result<ShadowCasters> build(
         CasterSource& source, const std::function<void(const std::string&)>& warn = {});
     ShadowCasters(ShadowCasters&&) noexcept;
@@ -78,9 +78,10 @@ class ShadowCasters {
 
     /// Writes [height][width], first row at v = 0: the part of the light that reaches the
     /// texel's centre, the product of 1 - opacity over all crossings. Strands are ribbons
-    /// that face the light's point. `cull`: what lies outside the pyramid is left out
-    /// chunk by chunk; without, every caster is transformed and clipped, with the same
-    /// result. Returns how many triangles and strand segments were looked at.
+    /// that face the light's point; a segment's opacity is the mean of its two ends'.
+    /// `cull`: what lies outside the pyramid is left out chunk by chunk; without, every
+    /// caster is transformed and clipped, with the same result. Returns how many
+    /// triangles and strand segments were looked at.
     std::uint64_t draw(const ShadowView& view, std::uint32_t width, std::uint32_t height,
                        bool cull, float* reaches) const;
 

@@ -1,5 +1,6 @@
 #include "baseline/held_casters.h"
 
+#include <new>
 #include <optional>
 
 namespace mtsm::baseline {
@@ -70,14 +71,20 @@ void HeldCasters::add(const VolumeView& volume) {
 }
 
 Result<HeldCasters> HeldCasters::copy(CasterSource& casters) {
-    HeldCasters copies;
-    const Status read = casters.visit([&](const CasterView& caster) -> Status {
-        copies.held_.push_back(std::make_unique<Held>());
-        std::visit([&](const auto& view) { copies.add(view); }, caster);
-        return {};
-    });
-    if (!read) return read.error();
-    return copies;
+    try {
+        HeldCasters copies;
+        const Status read = casters.visit([&](const CasterView& caster) -> Status {
+            copies.held_.push_back(std::make_unique<Held>());
+            std::visit([&](const auto& view) { copies.add(view); }, caster);
+            return {};
+        });
+        if (!read) return read.error();
+        return copies;
+    } catch (const std::bad_alloc&) {
+        return Error{ErrorCode::tooLarge,
+                     "there is not enough memory for a copy of the "
+                     "casters; leave some of them out"};
+    }
 }
 
 Status HeldCasters::visit(const CasterVisitor& visitor) {

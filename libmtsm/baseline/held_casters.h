@@ -11,7 +11,7 @@ namespace mtsm::baseline {
 
 class HeldCasters final : public CasterSource {
   public:
-    /// Errors: what visit() returns.
+    /// Errors: what visit() returns, tooLarge without enough memory.
     static Result<HeldCasters> copy(CasterSource& casters);
     Status visit(const CasterVisitor& visitor) override;
 

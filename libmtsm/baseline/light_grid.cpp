@@ -99,23 +99,60 @@ double lightMeasure(const AreaLight& light) noexcept {
     return 1.0;
 }
 
+namespace {
+
+/// Of a triangle, its corners relative to the eye [VanOosterom83, eq. 8].
+double triangleAngle(glm::dvec3 a, glm::dvec3 b, glm::dvec3 c) {
+    const double la = glm::length(a), lb = glm::length(b), lc = glm::length(c);
+    const double volume = std::abs(glm::dot(a, glm::cross(b, c)));
+    const double cosines =
+        la * lb * lc + glm::dot(a, b) * lc + glm::dot(b, c) * la + glm::dot(c, a) * lb;
+    return 2.0 * std::atan2(volume, cosines);
+}
+
+}  // namespace
+
 double solidAngle(const AreaLight& light, glm::dvec3 p) {
-    if (hasNoSize(light)) return 0.0;
+    const light::LightSampler sampler(light);
+    if (sampler.isPoint()) return 0.0;
     if (light.shape == LightShape::sun) return lightMeasure(light);
     if (light.shape == LightShape::sphere) {
         const double s = light.radius / glm::length(p - light.position);
         if (!(s < 1.0)) return 4.0 * glm::pi<double>();
         return 2.0 * glm::pi<double>() * s * s / (1.0 + std::sqrt(1.0 - s * s));
     }
-    if (light.shape == LightShape::rect && light.size.x * light.size.y == 0.0) return 0.0;
-    constexpr int kSide = 8;
+    if (sampler.isBehind(p)) return 0.0;
+    const light::LightView view = sampler.view(p);
+    if (view.domain == light::LightView::Domain::square) {
+        const glm::dvec3 low = view.base - view.x, high = view.base + view.x;
+        return triangleAngle(low - view.y, high - view.y, high + view.y) +
+               triangleAngle(low - view.y, high + view.y, low + view.y);
+    }
+    // A disk as a fan, its rim moved outwards so that the area is kept.
+    constexpr int kSectors = 256;
+    constexpr double kSector = 2.0 * glm::pi<double>() / kSectors;
+    const double radius = std::sqrt(kSector / std::sin(kSector));
+    const auto rim = [&](int i) {
+        return view.base +
+               radius * (std::cos(i * kSector) * view.x + std::sin(i * kSector) * view.y);
+    };
     double sum = 0.0;
+    for (int i = 0; i < kSectors; ++i)
+        sum += triangleAngle(view.base, rim(i), rim(i + 1));
+    return sum;
+}
+
+double densestAngle(const AreaLight& light, glm::dvec3 p) {
+    if (light.shape == LightShape::sun || hasNoSize(light)) return solidAngle(light, p);
+    if (light.shape == LightShape::rect && light.size.x * light.size.y == 0.0) return 0.0;
+    constexpr int kSide = 16;
+    double densest = 0.0;
     for (const LightPoint& point : lightPoints(light, kSide, LightGrid::regular, 0)) {
         const glm::dvec3 d = p - point.position;
         const double r = glm::length(d);
-        if (r > 0.0) sum += std::max(0.0, glm::dot(d, point.normal)) / (r * r * r);
+        if (r > 0.0) densest = std::max(densest, glm::dot(d, point.normal) / (r * r * r));
     }
-    return sum * lightMeasure(light) / (kSide * kSide);
+    return densest * lightMeasure(light);
 }
 
 }  // namespace mtsm::baseline

@@ -42,8 +42,13 @@ struct LightPoint {
 /// size, so that their radiance is an intensity, or for a sun an irradiance.
 [[nodiscard]] double lightMeasure(const AreaLight& light) noexcept;
 
-/// Steradians that the light takes of what p sees, to a few per cent; 0 for lights of no
+/// Steradians that the light takes of what p sees, a disk's to 1e-3; 0 for lights of no
 /// area and behind one-sided ones.
 [[nodiscard]] double solidAngle(const AreaLight& light, glm::dvec3 p);
+
+/// Steradians that the light would take if it lay all where it takes the most of what p
+/// sees, area times cosine over squared distance: a cell of an n x n grid takes at most
+/// the n^2th part. 0 as above.
+[[nodiscard]] double densestAngle(const AreaLight& light, glm::dvec3 p);
 
 }  // namespace mtsm::baseline

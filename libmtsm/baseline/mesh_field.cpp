@@ -226,8 +226,15 @@ struct Soups {
     bool hasOrigin = false;
     glm::dvec3 low{kInfinity}, high{-kInfinity};  // relative to origin
 
-    void add(const MeshView& mesh) {
-        if (!(mesh.texture && mesh.uvs) && !(mesh.opacity > 0.0f)) return;
+    Status add(const MeshView& mesh) {
+        if (!(mesh.texture && mesh.uvs) && !(mesh.opacity > 0.0f)) return {};
+        constexpr std::size_t most = std::numeric_limits<std::uint32_t>::max();
+        const std::size_t held = std::max(closed.positions.size(), open.positions.size());
+        if (mesh.vertexCount > most - held)
+            return base::makeError(ErrorCode::tooLarge,
+                                   "a distance field: found more than ", most,
+                                   " vertices, which is the most it takes; leave some of "
+                                   "the casters out");
         Soup soup;
         soup.positions.resize(mesh.vertexCount);
         std::vector<bool> fine(mesh.vertexCount);
@@ -250,17 +257,14 @@ struct Soups {
             }
         }
         if (!soup.indices.empty()) (isClosed(soup) ? closed : open).append(soup);
+        return {};
     }
 };
 
-}  // namespace
-
-Result<DistanceFieldPtr> meshField(CasterSource& casters, int resolution) {
+Result<DistanceFieldPtr> makeField(CasterSource& casters, int resolution) {
     Soups soups;
-    const Status read = casters.visit(meshesOnly([&](const MeshView& mesh) -> Status {
-        soups.add(mesh);
-        return {};
-    }));
+    const Status read =
+        casters.visit(meshesOnly([&](const MeshView& mesh) { return soups.add(mesh); }));
     if (!read) return read.error();
     const glm::dvec3 extent = soups.high - soups.low;
     const double longest = std::max({extent.x, extent.y, extent.z});
@@ -271,20 +275,26 @@ Result<DistanceFieldPtr> meshField(CasterSource& casters, int resolution) {
             "volumes have no place in it)");
     const double spacing = longest / std::clamp(resolution, 8, 1024);
     std::vector<DistanceFieldPtr> parts;
+    openvdb::initialize();
+    for (const bool closed : {true, false}) {
+        const Soup& soup = closed ? soups.closed : soups.open;
+        if (soup.indices.empty()) continue;
+        parts.push_back(std::make_unique<SoupField>(soup, closed, soups.origin, soups.low,
+                                                    soups.high, spacing));
+    }
+    if (parts.size() == 1) return std::move(parts.front());
+    return unionField(std::move(parts));
+}
+
+}  // namespace
+
+Result<DistanceFieldPtr> meshField(CasterSource& casters, int resolution) {
     try {
-        openvdb::initialize();
-        for (const bool closed : {true, false}) {
-            const Soup& soup = closed ? soups.closed : soups.open;
-            if (soup.indices.empty()) continue;
-            parts.push_back(std::make_unique<SoupField>(soup, closed, soups.origin,
-                                                        soups.low, soups.high, spacing));
-        }
+        return makeField(casters, resolution);
     } catch (const std::exception& problem) {
         return base::makeError(ErrorCode::tooLarge, "a distance field of ", resolution,
                                " voxels along a side cannot be made: ", problem.what());
     }
-    if (parts.size() == 1) return std::move(parts.front());
-    return unionField(std::move(parts));
 }
 
 }  // namespace mtsm::baseline

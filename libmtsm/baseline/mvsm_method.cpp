@@ -42,8 +42,9 @@ constexpr std::size_t kPointsPerTask = 256;
 /// Rays from one point through all views.
 class Rays {
   public:
-    Rays(const std::vector<ShadowMap>& views, glm::dvec3 point, glm::dvec3 normal)
-        : views_(views), plane_{point, normal, shadow::kPlaneHeight} {
+    Rays(const std::vector<ShadowMap>& views, const std::vector<trace::ZBias>& biases,
+         glm::dvec3 point, glm::dvec3 normal)
+        : views_(views), biases_(biases), plane_{point, normal, shadow::kPlaneHeight} {
         ray_.origin = point;
         hasNormal_ = normal != glm::dvec3(0.0);
         if (hasNormal_) options_.plane = &plane_;
@@ -55,7 +56,7 @@ class Rays {
         ray_.tEnd = sample.endless ? HUGE_VAL : 1.0;
         for (std::size_t i = 0; i < views_.size(); ++i) {
             const std::size_t view = (last_ + i) % views_.size();
-            if (!blockedIn(views_[view])) continue;
+            if (!blockedIn(views_[view], biases_[view])) continue;
             last_ = view;
             return true;
         }
@@ -64,8 +65,8 @@ class Rays {
 
   private:
     /// As shadow/shadow.cpp traces a ray.
-    [[nodiscard]] bool blockedIn(const ShadowMap& view) {
-        options_.bias = shadow::biasOf(view, -1.0f);
+    [[nodiscard]] bool blockedIn(const ShadowMap& view, const trace::ZBias& bias) {
+        options_.bias = bias;
         if (!hasNormal_) {
             const double length = glm::length(ray_.delta);
             if (!(length > 0.0)) return false;
@@ -78,6 +79,7 @@ class Rays {
     }
 
     const std::vector<ShadowMap>& views_;
+    const std::vector<trace::ZBias>& biases_;  // [views]
     trace::ReceiverPlane plane_;
     bool hasNormal_ = false;
     trace::Ray ray_;
@@ -88,7 +90,10 @@ class Rays {
 class MvsmMethod final : public Method {
   public:
     MvsmMethod(std::vector<ShadowMap> views, const AreaLight& light)
-        : views_(std::move(views)), light_(light) {}
+        : views_(std::move(views)), light_(light) {
+        for (const ShadowMap& view : views_)
+            biases_.push_back(shadow::biasOf(view, -1.0f));
+    }
 
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept override {
         std::uint64_t bytes = 0;
@@ -105,7 +110,7 @@ class MvsmMethod final : public Method {
                              [&](std::size_t begin, std::size_t end) {
                                  for (std::size_t i = begin; i < end; ++i) {
                                      const glm::dvec3 normal = normalOf(at, i);
-                                     Rays rays(views_, at.points[i], normal);
+                                     Rays rays(views_, biases_, at.points[i], normal);
                                      out[i] = shadowFactorOf(
                                          sampler, at.points[i], normal, samples,
                                          [&](const light::LightSample& sample) {
@@ -118,6 +123,7 @@ class MvsmMethod final : public Method {
 
   private:
     std::vector<ShadowMap> views_;
+    std::vector<trace::ZBias> biases_;  // [views]
     AreaLight light_;
 };
 

@@ -58,50 +58,66 @@ class Filter {
             zMin_ = std::min(zMin_, double(map_.zRange(f).min));
     }
 
+    /// How large the filter is for blockers at one depth.
+    struct Size {
+        bool inFront = false;   // can a blocker there be in front of the point?
+        double z = 0.0;         // the depth
+        glm::dvec2 shift{0.0};  // one face: the point's place less the centre ray's at z
+        double spread = 0.0;    // six faces: the filter's size over the light's
+    };
+    [[nodiscard]] Size sizeFor(double z) const {
+        Size size{inLight_.z > z, z, {}, inLight_.z / z - 1.0};
+        if (map_.faceCount() > 1) return size;
+        size.inFront = size.inFront && axis_.z < 0.0;
+        if (size.inFront) size.shift = raster_ - passes(axis_, z);
+        return size;
+    }
+
     /// Of the first pass; nothing: nothing is in front.
     [[nodiscard]] std::optional<double> meanBlocker(const PointsOnLight& points,
                                                     std::uint32_t count) const {
         BlockerSum sum;
+        const Size size = sizeFor(zMin_);
         for (std::uint32_t i = 0; i < count; ++i) {
-            if (const auto at = place(points(i), zMin_))
+            if (const auto at = place(points(i), size))
                 lookup_.addBlockers(receiver_, *at, sum);
         }
         if (!(sum.weight > 0.0)) return std::nullopt;
         return sum.depths / sum.weight;
     }
-    /// Of the lookup that stands for a point of the light, the filter being as large as
-    /// a blocker at depth z needs.
-    [[nodiscard]] float visibility(const light::LightSample& sample, double z) const {
-        const auto at = place(sample, z);
+    /// Of the lookup that stands for a point of the light.
+    [[nodiscard]] float visibility(const light::LightSample& sample,
+                                   const Size& size) const {
+        const auto at = place(sample, size);
         return at ? lookup_.visibility(receiver_, *at) : 1.0f;
     }
     [[nodiscard]] double zMin() const { return zMin_; }
 
   private:
-    /// Nothing where no blocker at depth z can be in front.
+    /// Where the ray from the point along d passes depth z on the only face.
+    [[nodiscard]] glm::dvec2 passes(glm::dvec3 d, double z) const {
+        const double t = (z - inLight_.z) / d.z;
+        return map_.projection(0).rasterFromLight(
+            {inLight_.x + t * d.x, inLight_.y + t * d.y, z});
+    }
+    /// Nothing where no blocker of that depth can be in front.
     [[nodiscard]] std::optional<MapPlace> place(const light::LightSample& sample,
-                                                double z) const {
-        if (!(inLight_.z > z)) return std::nullopt;
-        return map_.faceCount() == 1 ? onFace(sample, z) : onFaces(sample, z);
+                                                const Size& size) const {
+        if (!size.inFront) return std::nullopt;
+        return map_.faceCount() == 1 ? onFace(sample, size) : onFaces(sample, size);
     }
     [[nodiscard]] std::optional<MapPlace> onFace(const light::LightSample& sample,
-                                                 double z) const {
-        const Projection& p = map_.projection(0);
-        const glm::dvec3 delta = p.lightFromWorldDirection(sample.delta);
-        if (!(delta.z < 0.0 && axis_.z < 0.0)) return std::nullopt;
-        const auto at = [&](glm::dvec3 d) {
-            const double t = (z - inLight_.z) / d.z;
-            return p.rasterFromLight({inLight_.x + t * d.x, inLight_.y + t * d.y, z});
-        };
-        return MapPlace{0, raster_ + at(delta) - at(axis_), inLight_.z};
+                                                 const Size& size) const {
+        const glm::dvec3 delta = map_.projection(0).lightFromWorldDirection(sample.delta);
+        if (!(delta.z < 0.0)) return std::nullopt;
+        return MapPlace{0, passes(delta, size.z) + size.shift, inLight_.z};
     }
     /// Six faces around the light: eq. 1 in world space, where a filter reaches over the
     /// faces' edges. The place stays as far from the eye as the point is.
     [[nodiscard]] std::optional<MapPlace> onFaces(const light::LightSample& sample,
-                                                  double z) const {
+                                                  const Size& size) const {
         const glm::dvec3 eye = map_.projection(face_).eye, fromEye = point_ - eye;
-        const glm::dvec3 moved =
-            fromEye + (inLight_.z / z - 1.0) * (sample.delta - towards_);
+        const glm::dvec3 moved = fromEye + size.spread * (sample.delta - towards_);
         const double distance = glm::length(moved);
         if (!(distance > 0.0)) return std::nullopt;
         return lookup_.placeOf(eye + moved * (glm::length(fromEye) / distance));
@@ -154,9 +170,10 @@ class PcfMethod final : public Method {
             const PointsOnLight points(light, point);
             z = filter.meanBlocker(points, points.atMost(search));
         }
+        const Filter::Size size = z ? filter.sizeFor(*z) : Filter::Size{};
         return shadowFactorOf(light, point, normal, samples,
                               [&](const light::LightSample& sample) {
-                                  return z ? filter.visibility(sample, *z) : 1.0f;
+                                  return filter.visibility(sample, size);
                               });
     }
 
@@ -184,6 +201,7 @@ void addCommon(std::vector<SettingInfo>& settings) {
                                    "depth of blockers"));
     settings.push_back(wholeSetting("search", 64, 1, kMaxSamples,
                                     "lookups per point that look for blockers"));
+    settings.back().with = "filter=blocker";
 }
 
 Result<BakeOptions> commonOptions(const MethodScene& scene, const Settings& settings) {

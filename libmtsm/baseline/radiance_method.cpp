@@ -7,6 +7,8 @@
 #include <optional>
 
 #include "base/parallel.h"
+#include "baseline/depth_map.h"
+#include "baseline/light_mean.h"
 #include "baseline/methods.h"
 #include "baseline/radiance_texture.h"
 
@@ -30,14 +32,14 @@ class Wall {
         toV_ = acrossX / glm::dot(acrossX, plane.edgeY);
     }
 
-    /// How far the point is off, in longer sides; infinite where it lies elsewhere or is
-    /// seen from behind.
+    /// How far the point is off, in longer sides; infinite where it lies elsewhere, is
+    /// seen from behind or has no normal: it is then none of the receiver's surface.
     [[nodiscard]] double distance(glm::dvec3 p, glm::dvec3 normal) const noexcept {
         const glm::dvec2 c = coordinates(p);
         const double off =
             std::max({std::abs(glm::dot(normal_, p - plane_.corner)) / longer_, -c.x,
                       -c.y, c.x - 1.0, c.y - 1.0});
-        const bool here = off <= kOnPlane && glm::dot(normal, normal_) >= 0.0;
+        const bool here = off <= kOnPlane && glm::dot(normal, normal_) > 0.0;
         return here ? off : std::numeric_limits<double>::infinity();
     }
     [[nodiscard]] float shadow(glm::dvec3 p) const noexcept {
@@ -61,7 +63,8 @@ class Wall {
 
 class RadianceMethod final : public Method {
   public:
-    explicit RadianceMethod(std::vector<Wall> walls) : walls_(std::move(walls)) {}
+    RadianceMethod(std::vector<Wall> walls, const AreaLight& light)
+        : walls_(std::move(walls)), light_(light) {}
 
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept override {
         std::uint64_t bytes = 0;
@@ -69,12 +72,13 @@ class RadianceMethod final : public Method {
             bytes += wall.memoryBytes();
         return bytes;
     }
-    Status shadowFactors(const AreaLight&, const Receivers& at, const Settings&,
+    Status shadowFactors(const AreaLight& light, const Receivers& at, const Settings&,
                          float* out) const override {
+        if (Status fits = lightFits(light, light_); !fits) return fits;
         base::parallelRanges(std::size_t(0), at.count, std::size_t(1024),
                              [&](std::size_t begin, std::size_t end) {
                                  for (std::size_t i = begin; i < end; ++i)
-                                     out[i] = shadow(at.points[i], at.normals[i]);
+                                     out[i] = shadow(at.points[i], normalOf(at, i));
                              });
         return {};
     }
@@ -93,6 +97,7 @@ class RadianceMethod final : public Method {
     }
 
     std::vector<Wall> walls_;
+    AreaLight light_;
 };
 
 Result<std::unique_ptr<Method>> build(const MethodScene& scene,
@@ -100,6 +105,8 @@ Result<std::unique_ptr<Method>> build(const MethodScene& scene,
     if (scene.planes.empty())
         return Error{ErrorCode::badArgument,
                      "radiance textures need flat receivers and the scene names none"};
+    const auto aimed = aimedOptions(scene.casters, scene.bake);
+    if (!aimed) return aimed.error();
     auto casters = ShadowCasters::build(scene.casters);
     if (!casters) return casters.error();
     RadianceOptions options;
@@ -112,13 +119,12 @@ Result<std::unique_ptr<Method>> build(const MethodScene& scene,
     std::vector<RadianceReceiver> receivers;
     for (const PlanarReceiver& plane : scene.planes)
         receivers.push_back(parallelogramReceiver(plane));
-    auto textures =
-        radianceTextures(*casters, receivers, {{scene.bake.light, {}}}, options);
+    auto textures = radianceTextures(*casters, receivers, {{aimed->light, {}}}, options);
     if (!textures) return textures.error();
     std::vector<Wall> walls;
     for (std::size_t i = 0; i < receivers.size(); ++i)
         walls.emplace_back(scene.planes[i], std::move((*textures)[i]));
-    return std::unique_ptr<Method>(new RadianceMethod(std::move(walls)));
+    return std::unique_ptr<Method>(new RadianceMethod(std::move(walls), aimed->light));
 }
 
 }  // namespace

@@ -129,14 +129,19 @@ std::vector<TrianglePair> pairTriangles(std::vector<RadianceReceiver>& receivers
             const glm::uvec2 s = receivers[a].texels, t = receivers[b].texels;
             return s.y != t.y ? s.y > t.y : s.x > t.x;
         });
+    const auto texels = [](glm::uvec2 size) { return std::uint64_t(size.x) * size.y; };
     std::vector<TrianglePair> pairs;
-    for (std::size_t i = 0; i < triangles.size(); i += 2) {
+    for (std::size_t i = 0; i < triangles.size(); ++i) {
         TrianglePair pair{triangles[i]};
         if (i + 1 < triangles.size()) {
-            pair.second = triangles[i + 1];
-            const glm::uvec2 both =
-                glm::max(receivers[pair.first].texels, receivers[pair.second].texels);
-            receivers[pair.first].texels = receivers[pair.second].texels = both;
+            glm::uvec2 &first = receivers[pair.first].texels,
+                       &second = receivers[triangles[i + 1]].texels;
+            const glm::uvec2 both = glm::max(first, second);
+            // A long one and a tall one would not save any.
+            if (texels(both) < texels(first) + texels(second)) {
+                pair.second = triangles[++i];
+                first = second = both;
+            }
         }
         pairs.push_back(pair);
     }

@@ -8,6 +8,7 @@
 #include <glm/mat3x3.hpp>
 #include <glm/matrix.hpp>
 #include <memory>
+#include <new>
 
 #include "base/finite.h"
 #include "base/message.h"
@@ -16,7 +17,8 @@
 namespace mtsm::baseline {
 namespace {
 
-constexpr std::size_t kMostTexels = std::size_t(1) << 28;  // of one texture
+constexpr std::size_t kMostTexels = std::size_t(1) << 28;     // of one texture
+constexpr std::uint64_t kMostBytes = std::uint64_t(1) << 35;  // of all textures
 constexpr std::size_t kMostImages = 16;  // hard shadows in memory at once, per receiver
 constexpr std::size_t kImageTexels = std::size_t(1) << 25;  // in all of them
 constexpr int kMostSupersampling = 16;
@@ -42,9 +44,9 @@ int gridSide(const AreaLight& light, const PlanarReceiver& plane,
     double most = 0.0;
     for (int j = 0; j <= kReceiverProbes; ++j)
         for (int i = 0; i <= kReceiverProbes; ++i)
-            most = std::max(most,
-                            solidAngle(light, pointAt(plane, double(i) / kReceiverProbes,
-                                                      double(j) / kReceiverProbes)));
+            most = std::max(
+                most, densestAngle(light, pointAt(plane, double(i) / kReceiverProbes,
+                                                  double(j) / kReceiverProbes)));
     if (most == 0.0) return options.samplesPerSide;
     return int(std::clamp(std::ceil(std::sqrt(most / options.solidAngle)), 1.0,
                           double(kMaxGridSide)));
@@ -361,6 +363,27 @@ Status checkReceiver(const RadianceReceiver& receiver, const std::string& label,
     return {};
 }
 
+/// What the textures take together: with refinement all sums are held, without it one
+/// after the other.
+Status checkTotal(const std::vector<RadianceReceiver>& receivers, std::size_t lights,
+                  const RadianceOptions& options) {
+    const double s = options.supersampling;
+    const double sums = !options.refined ? 0.0 : (options.radiance ? 3.0 : 2.0) * s * s;
+    const double bytes =
+        4.0 * double(lights) * (1.0 + sums) + (options.radiance ? 12.0 : 0.0);
+    double total = 0.0;
+    for (const RadianceReceiver& receiver : receivers) {
+        const glm::uvec2 size = textureSize(receiver, options);
+        total += bytes * double(size.x) * double(size.y);
+    }
+    if (total <= double(kMostBytes)) return {};
+    return base::makeError(
+        ErrorCode::tooLarge, "the textures of ", receivers.size(), " receivers and ",
+        lights, " lights would take ", std::uint64_t(total / 0x1p20), " MB; at most ",
+        kMostBytes >> 20, " are allowed; choose a larger pixel size, a lower resolution ",
+        "or fewer receivers");
+}
+
 }  // namespace
 
 const char* name(Flatness flatness) noexcept {
@@ -369,16 +392,11 @@ const char* name(Flatness flatness) noexcept {
                                           : "textured";
 }
 
-Result<std::vector<RadianceTexture>> radianceTextures(
+namespace {
+
+Result<std::vector<RadianceTexture>> makeTextures(
     const ShadowCasters& casters, const std::vector<RadianceReceiver>& receivers,
     const std::vector<RadianceLight>& lights, const RadianceOptions& options) {
-    if (Status fine = checkOptions(options); !fine) return fine.error();
-    for (const RadianceLight& light : lights)
-        if (Status fine = checkLight(light.light); !fine) return fine.error();
-    for (std::size_t i = 0; i < receivers.size(); ++i) {
-        const Status fine = checkReceiver(receivers[i], label(receivers, i), options);
-        if (!fine) return fine.error();
-    }
     std::vector<RadianceTexture> textures(receivers.size());
     if (!options.refined) {
         // One receiver after another is done with, so that only those at work take room.
@@ -401,6 +419,29 @@ Result<std::vector<RadianceTexture>> radianceTextures(
         if (Status go = options.refined(samples, textures); !go) return go.error();
         if (std::find(complete.begin(), complete.end(), 0) == complete.end())
             return textures;
+    }
+}
+
+}  // namespace
+
+Result<std::vector<RadianceTexture>> radianceTextures(
+    const ShadowCasters& casters, const std::vector<RadianceReceiver>& receivers,
+    const std::vector<RadianceLight>& lights, const RadianceOptions& options) {
+    if (Status fine = checkOptions(options); !fine) return fine.error();
+    for (const RadianceLight& light : lights)
+        if (Status fine = checkLight(light.light); !fine) return fine.error();
+    for (std::size_t i = 0; i < receivers.size(); ++i) {
+        const Status fine = checkReceiver(receivers[i], label(receivers, i), options);
+        if (!fine) return fine.error();
+    }
+    if (Status fits = checkTotal(receivers, lights.size(), options); !fits)
+        return fits.error();
+    try {
+        return makeTextures(casters, receivers, lights, options);
+    } catch (const std::bad_alloc&) {
+        return Error{ErrorCode::tooLarge,
+                     "there is not enough memory for the textures; choose a larger pixel "
+                     "size, a lower resolution or fewer receivers"};
     }
 }
 

@@ -97,8 +97,8 @@ struct RadianceOptions {
     int supersampling = 1;   ///< 1..16; hard shadows are finer by this on either side
     int samplesPerSide = 8;  ///< 1..kMaxGridSide, of each light's grid
     /// > 0: in place of samplesPerSide, per light and receiver, the smallest grid whose
-    /// cells take at most so many steradians as seen from the receiver [Heckbert97,
-    /// sec. 3.7]; lights of no area keep samplesPerSide.
+    /// cells take at most so many steradians as seen from 9 x 9 points of the receiver
+    /// [Heckbert97, sec. 3.7]; lights of no area keep samplesPerSide.
     double solidAngle = 0.0;
     LightGrid grid = LightGrid::jittered;
     std::uint32_t seed = 0;
@@ -129,7 +129,7 @@ struct TrianglePair {
 
 /// One texture per receiver, in their order. Errors: badArgument (options, lights or
 /// receivers out of range), tooLarge (more than 2^28 texels in a texture, supersampling
-/// included), what `refined` returns.
+/// included, 32 GB in all, or not enough memory), what `refined` returns.
 [[nodiscard]] Result<std::vector<RadianceTexture>> radianceTextures(
     const ShadowCasters& casters, const std::vector<RadianceReceiver>& receivers,
     const std::vector<RadianceLight>& lights, const RadianceOptions& options = {});

@@ -49,19 +49,24 @@ struct March {
         MarchOptions own = options;
         if (!(own.size > 0.0))
             own.size = marchSize(tangentOf(light, distance), own.stride);
-        return float(1.0 - march(field, point, direction,
-                                 std::min(reach, field.behind(point, direction)), own));
+        const MarchEnd end{std::min(reach, field.behind(point, direction)), distance,
+                           -glm::dot(sampler.shines(), direction), field.spacing()};
+        return float(1.0 - march(field, point, direction, end, own));
     }
 };
 
 }  // namespace
 
 double march(const DistanceField& field, glm::dvec3 origin, glm::dvec3 direction,
-             double reach, const MarchOptions& options) noexcept {
+             const MarchEnd& end, const MarchOptions& options) noexcept {
     double visible = 1.0, t = options.epsilon;
-    for (int step = 0; step < options.steps && t < reach; ++step) {
+    for (int step = 0; step < options.steps && t < end.reach; ++step) {
         const double d = field.at(origin + t * direction);
+        const bool mayBeBehind =
+            end.cosine > 0.0 && (end.light - t) * end.cosine < d + end.blur;
+        if (mayBeBehind && d < options.hit) break;
         t += options.stride * d;
+        if (mayBeBehind) continue;
         visible = std::min(visible, d / (t * options.size));
         if (d < options.hit) return 0.0;
     }
@@ -132,7 +137,9 @@ MethodInfo sdfMethod() {
     info.perLight = false;
     info.settings = {
         wholeSetting("resolution", 128, 8, 1024,
-                     "voxels along the longest side of the casters", SettingUse::build),
+                     "voxels along the longest side of all casters together: a large "
+                     "ground leaves few for what stands on it",
+                     SettingUse::build),
         wholeSetting("steps", 128, 1, 100'000, "most steps of a ray"),
         numberSetting("epsilon", 0.0, 0.0, 1e9,
                       "where a ray starts, world units; 0: two voxels"),

@@ -18,8 +18,18 @@
 // penumbra is where it should be. With strides s that are shorter than the distance it is
 // sin(phi) / (1 + s sin(phi)), towards the plain d / (t size) with size = r / A.
 //
+// Differs for disks and rectangles: the article's light is a sun, with nothing behind it.
+// Where the light's plane is nearer than the nearest surface may be, within a voxel, that
+// surface may lie behind the light, and the point says nothing. So a ceiling lamp is not
+// darkened by its ceiling, nor a receiver by what is nearer to the lamp than it is to the
+// ray.
+//
 // A ray to the centre that hits is dark: the inner half of the penumbra is missing, and
 // there is more shadow than there should be, as the article says.
+//
+// Voxels are spent on the longest side of all casters together. A ground a hundred times
+// as long as the figure on it leaves the figure one or two of 128: leave such a ground
+// out of the casters (a receiver need not cast), or ask for more voxels.
 #pragma once
 #include <cstddef>
 #include <glm/vec3.hpp>
@@ -37,10 +47,18 @@ struct MarchOptions {
     double stride = 1.0;   ///< (0, 1]: how much of the distance a step goes
 };
 
-/// Visible share of the light on the way from `origin` along the unit vector `direction`
-/// up to `reach`. All of `options` must be given: no 0.
+/// Where a ray ends.
+struct MarchEnd {
+    double reach = 0.0;   ///< no further than this
+    double light = 0.0;   ///< one-sided lights only: where it meets the light's plane,
+    double cosine = 0.0;  ///< with this cosine to the plane's normal; 0: none
+    double blur = 0.0;    ///< by how much the field's distances may be too large
+};
+
+/// Visible share of the light on the way from `origin` along the unit vector
+/// `direction`. All of `options` must be given: no 0.
 [[nodiscard]] double march(const DistanceField& field, glm::dvec3 origin,
-                           glm::dvec3 direction, double reach,
+                           glm::dvec3 direction, const MarchEnd& end,
                            const MarchOptions& options) noexcept;
 
 /// The size that puts the penumbra's outer border where a light of radius r at the

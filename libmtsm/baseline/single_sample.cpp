@@ -5,6 +5,8 @@
 #include <glm/geometric.hpp>
 #include <glm/gtc/constants.hpp>
 #include <glm/vec4.hpp>
+#include <new>
+#include <unordered_map>
 
 #include "base/finite.h"
 #include "base/message.h"
@@ -51,9 +53,9 @@ struct Seen {
 
 /// The part of a triangle that counts, as a polygon.
 struct Polygon {
-    // Each of three planes adds one corner, or, where rounding bends the polygon, makes
+    // Each of four planes adds one corner, or, where rounding bends the polygon, makes
     // at most 3 of 2.
-    static constexpr std::size_t kMost = 9;
+    static constexpr std::size_t kMost = 13;
     std::array<glm::dvec4, kMost> corners;
     std::size_t count = 0;
 
@@ -115,6 +117,13 @@ Passing pass(const CentreRay& ray, const light::Frame& frame,
         polygon.clip([&](const glm::dvec4& q) { return ray.reach - q.z; });
     if (ray.normal != glm::dvec3(0.0))
         polygon.clip([&](const glm::dvec4& q) { return q.w; });
+    if (ray.shines != glm::dvec3(0.0)) {
+        const glm::dvec3 n(glm::dot(ray.shines, frame.x), glm::dot(ray.shines, frame.y),
+                           glm::dot(ray.shines, ray.direction));
+        polygon.clip([&](const glm::dvec4& q) {
+            return n.x * q.x + n.y * q.y + n.z * (q.z - ray.lightAt);
+        });
+    }
     // The ray is outside of what is left, so one of the sides is nearest.
     glm::dvec2 before(0.0);
     for (std::size_t i = 0; i <= polygon.count && polygon.count > 0; ++i) {
@@ -151,6 +160,9 @@ double tauOfSphere(const CentreRay& ray, glm::dvec3 centre, double radius) noexc
     const glm::dvec3 c = centre - ray.origin;
     const double t = glm::dot(c, ray.direction);
     if (t < 0.0 || t > ray.reach) return kInfinity;
+    if (ray.shines != glm::dvec3(0.0) &&
+        glm::dot(ray.shines, c - ray.lightAt * ray.direction) < 0.0)
+        return kInfinity;
     const double d = glm::length(c - t * ray.direction);
     return d <= radius ? 0.0 : (d - radius) / (t * ray.growth);
 }
@@ -169,6 +181,7 @@ struct SingleSampleScene::Search {
     WideRay wide;
     double limit = 1.0;    // what has a larger tau does not matter
     double visible = 1.0;  // s
+    std::unordered_map<std::uint32_t, double> meshes;  // s of each that was met
     std::uint64_t nodes = 0, objects = 0;
 
     Search(const SingleSampleScene& s, const SingleSampleOptions& o, const CentreRay& r,
@@ -179,19 +192,46 @@ struct SingleSampleScene::Search {
           wide(ray.origin, ray.direction, ray.reach, margin > 0.0 ? 0.0 : ray.growth,
                margin, size) {}
 
-    /// False: it is dark already.
-    bool take(double tau, double opacity) {
-        const double s = 1.0 - opacity * (1.0 - penumbra(tau));
+    [[nodiscard]] double visibleAt(double tau, double opacity) const {
+        return 1.0 - opacity * (1.0 - penumbra(tau));
+    }
+
+    /// Of an object that left `before` of the light and now leaves `s`.
+    void compose(double before, double s) {
         if (options.compose == Compose::minimum)
             visible = std::min(visible, s);
         else if (options.compose == Compose::multiply)
-            visible *= s;
+            visible *= s / before;
         else
-            visible -= 1.0 - s;
-        if (options.compose == Compose::minimum && opacity >= 1.0 && tau < limit) {
-            limit = tau;
-            if (options.bounds == GrownBounds::cone) wide.narrow(limit * ray.growth);
+            visible -= before - s;
+    }
+
+    /// What has a larger tau than an opaque object does not matter any more.
+    void narrow(double tau) {
+        limit = tau;
+        if (options.bounds == GrownBounds::cone) wide.narrow(limit * ray.growth);
+    }
+
+    /// A triangle of a mesh: only the darkest of each mesh counts. False: it is dark
+    /// already.
+    bool takeTriangle(std::uint32_t mesh, double tau, double opacity) {
+        const double s = visibleAt(tau, opacity);
+        if (options.compose == Compose::minimum) {
+            visible = std::min(visible, s);
+            if (opacity >= 1.0 && tau < limit) narrow(tau);
+            return visible > 0.0;
         }
+        double& before = meshes.try_emplace(mesh, 1.0).first->second;
+        if (s < before) {
+            compose(before, s);
+            before = s;
+        }
+        return visible > 0.0;
+    }
+    bool takeSphere(double tau, double opacity) {
+        compose(1.0, visibleAt(tau, opacity));
+        if (options.compose == Compose::minimum && opacity >= 1.0 && tau < limit)
+            narrow(tau);
         return visible > 0.0;
     }
 
@@ -237,7 +277,9 @@ struct SingleSampleScene::Search {
             const Passing passing = pass(ray, frame, corners);
             const double tau = tauOf(passing.slope, ray.growth);
             if (!(tau < limit)) continue;
-            if (!take(tau, opacityAt(i, corners, passing.nearest))) return false;
+            if (!takeTriangle(scene.triangles_[i].material, tau,
+                              opacityAt(i, corners, passing.nearest)))
+                return false;
         }
         return true;
     }
@@ -247,7 +289,7 @@ struct SingleSampleScene::Search {
         for (std::size_t i = begin; i < end; ++i) {
             const SoftSphere& sphere = scene.spheres_[i];
             const double tau = tauOfSphere(ray, sphere.centre, sphere.radius);
-            if (tau < limit && !take(tau, sphere.opacity)) return false;
+            if (tau < limit && !takeSphere(tau, sphere.opacity)) return false;
         }
         return true;
     }
@@ -320,26 +362,42 @@ void SingleSampleScene::add(const SoftSphere& sphere) {
     spheres_.back().centre -= origin_;
 }
 
+namespace {
+
+/// Brings each item to its place in the order without a copy of them all. The order
+/// serves several lists.
+template <typename Item>
+void arrange(std::vector<Item>& items, std::vector<std::uint32_t> order) {
+    for (std::uint32_t i = 0; i < order.size(); ++i) {
+        // Along the cycle that i is in; its places are marked as done.
+        Item first = std::move(items[i]);
+        std::uint32_t to = i;
+        for (std::uint32_t from = order[to]; from != i; from = order[to]) {
+            items[to] = std::move(items[from]);
+            order[to] = to;
+            to = from;
+        }
+        items[to] = std::move(first);
+        order[to] = to;
+    }
+}
+
+}  // namespace
+
 /// Builds the trees and brings all objects into their order.
 void SingleSampleScene::plant() {
     if (!uvs_.empty()) uvs_.resize(triangles_.size());
-    std::vector<Box> boxes(triangles_.size());
+    std::vector<GrownBox> boxes(triangles_.size());
     for (std::size_t i = 0; i < boxes.size(); ++i) {
         for (const glm::vec3& corner : triangles_[i].corners)
             boxes[i].add(corner);
     }
     triangleTree_ = GrownTree(boxes);
-    const auto sorted = [](const auto& items, const GrownTree& tree) {
-        auto result = items;
-        for (std::size_t i = 0; i < items.size(); ++i)
-            result[i] = items[tree.order()[i]];
-        return result;
-    };
-    triangles_ = sorted(triangles_, triangleTree_);
-    if (!uvs_.empty()) uvs_ = sorted(uvs_, triangleTree_);
-    triangleTree_.forgetOrder();
+    boxes = std::vector<GrownBox>(spheres_.size());
+    std::vector<std::uint32_t> order = triangleTree_.takeOrder();
+    if (!uvs_.empty()) arrange(uvs_, order);
+    arrange(triangles_, std::move(order));
 
-    boxes.assign(spheres_.size(), {});
     for (std::size_t i = 0; i < boxes.size(); ++i) {
         // To float and outwards: 1e-7 is more than half of a float's last place.
         const glm::dvec3 c = spheres_[i].centre, r(spheres_[i].radius);
@@ -349,25 +407,30 @@ void SingleSampleScene::plant() {
         boxes[i].add(glm::vec3(c + r + more));
     }
     sphereTree_ = GrownTree(boxes);
-    spheres_ = sorted(spheres_, sphereTree_);
-    sphereTree_.forgetOrder();
+    arrange(spheres_, sphereTree_.takeOrder());
 }
 
 Result<SingleSampleScene> SingleSampleScene::build(
     CasterSource& casters, const std::vector<SoftSphere>& spheres) {
-    SingleSampleScene scene;
-    const Status read =
-        casters.visit(meshesOnly([&](const MeshView& mesh) { return scene.add(mesh); }));
-    if (!read) return read.error();
-    for (const SoftSphere& sphere : spheres)
-        scene.add(sphere);
-    if (scene.triangles_.empty() && scene.spheres_.empty())
-        return base::makeError(
-            ErrorCode::unsupported,
-            "single-sample casts shadows of meshes and spheres; found none among the "
-            "casters (it casts neither strands nor volumes)");
-    scene.plant();
-    return scene;
+    try {
+        SingleSampleScene scene;
+        const Status read = casters.visit(
+            meshesOnly([&](const MeshView& mesh) { return scene.add(mesh); }));
+        if (!read) return read.error();
+        for (const SoftSphere& sphere : spheres)
+            scene.add(sphere);
+        if (scene.triangles_.empty() && scene.spheres_.empty())
+            return base::makeError(
+                ErrorCode::unsupported,
+                "single-sample casts shadows of meshes and spheres; found none among the "
+                "casters (it casts neither strands nor volumes)");
+        scene.plant();
+        return scene;
+    } catch (const std::bad_alloc&) {
+        return Error{ErrorCode::tooLarge,
+                     "single-sample: there is not enough memory for a copy of the "
+                     "casters; leave some of them out"};
+    }
 }
 
 std::uint64_t SingleSampleScene::memoryBytes() const noexcept {
@@ -386,14 +449,18 @@ std::optional<CentreRay> SingleSampleScene::centreRay(
     const light::LightSampler& sampler, double diameter, glm::dvec3 point,
     glm::dvec3 normal, const SingleSampleOptions& options) const noexcept {
     CentreRay ray;
-    const double offset = options.offset * glm::length(high_ - low_);
     const glm::dvec3 towards = sampler.towards(point);
     const double way = glm::length(towards);
     if (!(way > 0.0)) return std::nullopt;
-    ray.normal = normal;
-    ray.origin =
-        point + offset * (normal != glm::dvec3(0.0) ? normal : towards / way) - origin_;
     ray.nearest = kNearest * glm::length(high_ - low_);
+    // Along each axis floats resolve a share of the largest coordinate.
+    const glm::dvec3 out = normal != glm::dvec3(0.0) ? normal : towards / way,
+                     far = glm::max(glm::abs(low_ - origin_), glm::abs(high_ - origin_));
+    const double offset =
+        options.offset > 0.0 ? options.offset * glm::dot(glm::abs(out), far) + ray.nearest
+                             : 0.0;
+    ray.normal = normal;
+    ray.origin = point + offset * out - origin_;
     // Where the casters end along the ray.
     const glm::dvec3 lit = sampler.shape() == LightShape::sun
                                ? towards
@@ -410,6 +477,8 @@ std::optional<CentreRay> SingleSampleScene::centreRay(
     if (!(end > 0.0)) return std::nullopt;
     const bool sun = sampler.shape() == LightShape::sun;
     ray.reach = std::min(sun ? kInfinity : reach, end * (1.0 + 1e-9));
+    ray.shines = sampler.shines();
+    ray.lightAt = reach;
     if (!options.hard) ray.growth = sun ? diameter : diameter / reach;
     return ray;
 }
@@ -501,6 +570,8 @@ MethodInfo singleSampleMethod() {
                     "by the light's diameter"),
         flagSetting("hard", false, "plain hard shadows from the light's centre"),
     };
+    // Without a light's width nothing grows.
+    info.settings[1].with = "hard=false";
     info.build = build;
     return info;
 }

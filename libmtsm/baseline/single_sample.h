@@ -13,7 +13,8 @@
 // counts as the disk of its area; the sun's D / A is twice the tangent of half its angle.
 //
 // Spheres are the paper's: a is the way t0 to the point nearest to the centre, and a
-// sphere behind the receiver (t0 < 0) or behind the light's centre casts nothing.
+// sphere behind the receiver (t0 < 0) or behind the light's centre casts nothing, nor one
+// with its centre behind a disk's or rectangle's plane; triangles are cut off there.
 //
 // Triangles. Let n be the triangle's unit normal, e a side's unit direction, v the ray's.
 // Seen along v the outline is to grow by b all round, with rounded corners. A shift x of
@@ -73,6 +74,10 @@ struct CentreRay {
     /// Unit or zero: what lies below this plane through the origin does not count. The
     /// ray leaves upwards.
     glm::dvec3 normal{0.0};
+    /// Where a light shines to one side only: unit, out of the light, which lies at
+    /// `lightAt` on the ray; what lies behind the light's plane does not count.
+    glm::dvec3 shines{0.0};
+    double lightAt = std::numeric_limits<double>::infinity();
 };
 
 /// s = 3 tau^2 - 2 tau^3, and 0 or 1 outside of [0, 1].
@@ -90,7 +95,8 @@ struct SoftSphere {
     float opacity = 1.0f;
 };
 
-/// How the shadows of several objects come together [Parker98, sec. 3].
+/// How the shadows of several objects come together [Parker98, sec. 3]. A mesh is one
+/// object, however finely it is cut: the darkest of its triangles counts.
 enum class Compose {
     minimum,   ///< never darker than the darkest
     multiply,  ///< s = s1 s2
@@ -108,8 +114,9 @@ struct SingleSampleOptions {
     GrownBounds bounds = GrownBounds::cone;
     bool hard = false;  ///< plain shadow rays to the light's centre
     /// Rays start this far from the receiver, along its normal if there is one, as a
-    /// share of the diagonal of the casters' bounds.
-    double offset = 1e-5;
+    /// share of how far the casters reach in that direction from their first corner: what
+    /// floats lose. A large ground does not count for a receiver that lies flat on it.
+    double offset = 2e-6;
 };
 
 /// What batches did: each adds to what is there.
@@ -120,7 +127,7 @@ struct SingleSampleWork {
 class SingleSampleScene {
   public:
     /// Holds a copy of all meshes. unsupported if there is neither a sphere nor a
-    /// triangle to cast; tooLarge above 2^32 of them.
+    /// triangle to cast; tooLarge above 2^32 of them or without enough memory.
     static Result<SingleSampleScene> build(CasterSource& casters,
                                            const std::vector<SoftSphere>& spheres = {});
 

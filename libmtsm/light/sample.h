@@ -53,6 +53,10 @@ class LightSampler {
     [[nodiscard]] bool isPoint() const noexcept { return isPoint_; }
     /// On or behind the plane of a light that shines to one side only.
     [[nodiscard]] bool isBehind(glm::dvec3 p) const noexcept;
+    /// The unit vector out of a light that shines to one side only; zero: to all sides.
+    [[nodiscard]] glm::dvec3 shines() const noexcept {
+        return oneSided_ ? normal_ : glm::dvec3(0.0);
+    }
     /// Uniform in area over the light (sphere: over the cap that p sees; sun: over the
     /// solid angle) for u uniform in the unit square.
     [[nodiscard]] LightSample sample(glm::dvec3 p, glm::dvec2 u) const noexcept;

@@ -11,7 +11,7 @@ namespace {
 
 Measured run(const std::string& label, double error, double seconds,
              const std::string& series = "", double samples = 0.0) {
-    return {label, error, seconds, series, samples};
+    return {label, error, seconds, 0.0, series, samples};
 }
 
 }  // namespace

@@ -41,6 +41,26 @@ inline Mesh ballMesh(glm::dvec3 centre, double radius, std::uint32_t rings) {
     return mesh;
 }
 
+/// Two triangles over the parallelogram at `corner`.
+inline Mesh quadMesh(glm::dvec3 corner, glm::dvec3 x, glm::dvec3 y) {
+    Mesh mesh;
+    for (const glm::dvec3 p : {corner, corner + x, corner + x + y, corner + y})
+        mesh.positions.emplace_back(p);
+    mesh.indices = {0, 1, 2, 0, 2, 3};
+    return mesh;
+}
+
+/// A closed box.
+inline Mesh boxMesh(glm::vec3 low, glm::vec3 high) {
+    Mesh mesh;
+    for (int i = 0; i < 8; ++i)
+        mesh.positions.emplace_back(i & 1 ? high.x : low.x, i & 2 ? high.y : low.y,
+                                    i & 4 ? high.z : low.z);
+    mesh.indices = {0, 2, 1, 1, 2, 3, 4, 5, 6, 5, 7, 6, 0, 1, 4, 1, 5, 4,
+                    2, 6, 3, 3, 6, 7, 0, 4, 2, 2, 4, 6, 1, 3, 5, 3, 7, 5};
+    return mesh;
+}
+
 /// side x side points of the floor y = 0 around the origin, facing up.
 struct Floor {
     std::vector<glm::dvec3> points, normals;

@@ -216,3 +216,28 @@ TEST_CASE("several layers keep more of the shadow at contact where there is no n
                   {{"resolution", 64.0}, {"layers", layers}, {"bias", bias}},
                   own)[0] == 0.0f);
 }
+
+TEST_CASE(
+    "lights of every shape give nearly the shadow that ray tracing gives of a plate",
+    "[baseline][statistical]") {
+    // One blocker across the light's axis, so that its depth is the filter's: exact for a
+    // flat light; a sphere's caps tilt with the receiver, and a sun's filter is a disk.
+    const Rect square{-0.5, 0.5, -0.5, 0.5, 2};
+    const Mesh mesh = square.mesh();
+    BakeOptions bake = rectLight(5, 1.0, 1.0);
+    bake.light.radius = 0.5;
+    bake.light.shape = GENERATE(LightShape::disk, LightShape::sphere, LightShape::sun);
+    bake.light.angularDiameter = 0.3;
+    const Points points = floorGrid(1.5, 24);
+    const auto expected = truth({mesh.view()}, bake.light, points, 4096);
+    int soft = 0;
+    for (const float e : expected)
+        soft += e > 0.05f && e < 0.95f;
+    CHECK(soft > 80);
+    for (const char* row : {"pcf", "deep-pcf"}) {
+        const auto found = run(row, {mesh.view()}, bake,
+                               with(kFine, "filter", std::string("blocker")), points);
+        INFO(row << ", light " << int(bake.light.shape));
+        CHECK(meanError(found, expected) < 0.005);
+    }
+}

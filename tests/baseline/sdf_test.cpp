@@ -109,7 +109,7 @@ TEST_CASE("the march is the article's code, step by step", "[sdf][exact]") {
             }
         }
         const MarchOptions options{1000, epsilon, 0.0001, sunSize, 1.0};
-        CHECK(march(*sphere, worldPos, sunDir, 150.0, options) ==
+        CHECK(march(*sphere, worldPos, sunDir, {150.0}, options) ==
               Approx(shadow).margin(1e-12));
         ++(shadow == 0 ? dark : half);
         half -= shadow == 1.0;
@@ -214,7 +214,7 @@ TEST_CASE("step limit and first distance hold", "[sdf]") {
         options.size = 0.1;
         options.steps = steps;
         options.epsilon = 0.25;
-        (void)march(field, o, up, 100.0, options);
+        (void)march(field, o, up, {100.0}, options);
         CHECK(field.asked == steps);
         CHECK(field.nearest == Approx(0.25));
     }
@@ -384,4 +384,46 @@ TEST_CASE("the row sdf answers by its settings, alike on any number of threads",
         (*info)->build({none, bake, {}}, *Settings::complete((*info)->settings, {}, ""));
     REQUIRE(!refused);
     CHECK(refused.error().code == ErrorCode::unsupported);
+}
+
+TEST_CASE("a ceiling does not darken the floor under a lamp that hangs from it",
+          "[sdf]") {
+    const Mesh slab = test::boxMesh({-4, 3.02, -4}, {4, 3.4, 4});
+    AreaLight light;
+    light.shape = GENERATE(LightShape::disk, LightShape::rect);
+    light.position = {0, 3, 0};
+    light.direction = {0, -1, 0};
+    light.radius = 0.3;
+    light.size = {0.55, 0.5};
+    const Floor floor(20, 7.0);
+    for (const float dark : shadows(*fieldOf({slab.view()}, 64), light, floor))
+        CHECK(dark == 0.0f);
+    for (const float dark : shadows(*boxField({-4, 3.02, -4}, {4, 3.4, 4}), light, floor))
+        CHECK(dark == 0.0f);
+    // And what is in front of the lamp casts as without the ceiling.
+    std::vector<DistanceFieldPtr> both;
+    both.push_back(boxField({-0.5, 0.9, -0.5}, {0.5, 1.1, 0.5}));
+    const auto alone = shadows(*both.front(), light, floor, tinySteps());
+    both.push_back(boxField({-4, 3.02, -4}, {4, 3.4, 4}));
+    const auto under = shadows(*unionField(std::move(both)), light, floor, tinySteps());
+    CHECK(test::mean(alone) > 0.02);
+    for (std::size_t i = 0; i < alone.size(); ++i)
+        CHECK(under[i] == Approx(alone[i]).margin(1e-3));
+}
+
+TEST_CASE("marched shadows are the same far from the world's origin", "[sdf]") {
+    const glm::dvec3 far(1e6, -2e6, 3e6);
+    const Mesh ball = test::ballMesh({0.1, 1.5, 0}, 0.5, 24);
+    Floor floor(20, 4.0);
+    MeshView view = ball.view();
+    AreaLight light = sphereLight({0.5, 6, 0.3}, 0.4);
+    const auto near = shadows(*fieldOf({view}, 64), light, floor);
+    view.worldFromObject[3] = glm::dvec4(far, 1.0);
+    light.position += far;
+    for (glm::dvec3& p : floor.points)
+        p += far;
+    const auto there = shadows(*fieldOf({view}, 64), light, floor);
+    CHECK(test::mean(near) > 0.03);
+    for (std::size_t i = 0; i < near.size(); ++i)
+        CHECK(there[i] == Approx(near[i]).margin(1e-3));
 }

@@ -151,3 +151,23 @@ TEST_CASE("an unknown method is refused with the nearest name and all that there
     for (const MethodInfo& info : methods())
         CHECK_THAT(far.error().message, Catch::Contains(info.name));
 }
+
+TEST_CASE("rows leave at its fallback what their other settings switch off",
+          "[baseline]") {
+    const auto completed = [](const char* row, const Settings::Given& given) {
+        const auto info = findMethod(row);
+        REQUIRE(info);
+        auto settings = Settings::complete((*info)->settings, given, row);
+        REQUIRE(settings);
+        return *settings;
+    };
+    for (const char* row : {"pcf", "deep-pcf"}) {
+        CHECK(completed(row, {{"search", 7.0}}).whole("search") == 64);
+        CHECK(completed(row, {{"search", 7.0}, {"filter", std::string("blocker")}})
+                  .whole("search") == 7);
+    }
+    const Settings::Given largest = {{"bounds", std::string("largest")}};
+    CHECK(completed("single-sample", largest).word("bounds") == "largest");
+    CHECK(completed("single-sample", {largest[0], {"hard", true}}).word("bounds") ==
+          "cone");
+}

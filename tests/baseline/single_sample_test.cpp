@@ -304,6 +304,125 @@ TEST_CASE("two shadows come together as sum, product or minimum",
     CHECK(both > 10);
 }
 
+TEST_CASE("a large scene's tree is the same for any number of threads",
+          "[single-sample][twin]") {
+    Random random;
+    const Mesh mesh = confetti(70'000, 0.02f, random);  // some tasks' worth
+    std::vector<glm::dvec3> points;
+    for (int i = 0; i < 500; ++i)
+        points.push_back(random.inCube(1.3));
+    const AreaLight light = sphereLight({0.4, 1.3, -0.2}, 0.1);
+    std::vector<float> found[2];
+    const tbb::global_control most(tbb::global_control::max_allowed_parallelism, 4);
+    for (int i = 0; i < 2; ++i) {
+        tbb::task_arena arena(i == 0 ? 1 : 4);
+        arena.execute([&] { found[i] = shadows(sceneOf({mesh.view()}), light, points); });
+    }
+    CHECK(found[0] == found[1]);
+    // The first few against all triangles.
+    for (std::size_t i = 0; i < 20; ++i) {
+        const CentreRay ray = rayTo(points[i], light.position, 2 * light.radius);
+        double tau = HUGE_VAL;
+        for (std::size_t t = 0; t < mesh.indices.size(); t += 3)
+            tau = std::min(
+                tau,
+                tauOfTriangle(ray, {glm::dvec3(mesh.positions[mesh.indices[t]]),
+                                    glm::dvec3(mesh.positions[mesh.indices[t + 1]]),
+                                    glm::dvec3(mesh.positions[mesh.indices[t + 2]])}));
+        CHECK(found[0][i] == Approx(1 - bernstein(tau)).margin(1e-3));
+    }
+}
+
+TEST_CASE("a mesh casts one shadow, however finely it is cut", "[single-sample][twin]") {
+    const Compose compose = GENERATE(Compose::minimum, Compose::multiply, Compose::add);
+    const auto square = [](std::uint32_t n) {
+        Mesh mesh;
+        for (std::uint32_t i = 0; i <= n; ++i)
+            for (std::uint32_t j = 0; j <= n; ++j)
+                mesh.positions.emplace_back(-0.5f + float(i) / float(n), 1.5f,
+                                            -0.5f + float(j) / float(n));
+        for (std::uint32_t i = 0; i < n; ++i)
+            for (std::uint32_t j = 0; j < n; ++j) {
+                const std::uint32_t a = i * (n + 1) + j, b = a + n + 1;
+                mesh.indices.insert(mesh.indices.end(), {a, a + 1, b, a + 1, b + 1, b});
+            }
+        return mesh;
+    };
+    SingleSampleOptions options;
+    options.compose = compose;
+    const Floor floor(30, 4.0);
+    const Mesh whole = square(1), fine = square(16);
+    const AreaLight light = sphereLight({0, 4, 0}, 0.5);
+    const auto expected = shadows(sceneOf({whole.view()}), light, floor.points, options,
+                                  floor.normals),
+               found = shadows(sceneOf({fine.view()}), light, floor.points, options,
+                               floor.normals);
+    int soft = 0;
+    for (std::size_t i = 0; i < found.size(); ++i) {
+        CHECK(found[i] == Approx(expected[i]).margin(1e-5));
+        soft += found[i] > 0.01f && found[i] < 0.99f;
+    }
+    CHECK(soft > 50);
+}
+
+TEST_CASE("a ground far larger than what stands on it does not lose its shadow",
+          "[single-sample]") {
+    const Mesh box = test::boxMesh({-0.5f, 0.2f, -0.5f}, {0.5f, 1.2f, 0.5f});
+    const AreaLight light = sphereLight({0, 6, 0}, 0.2);
+    for (const double half : {5.0, 5e3, 5e5}) {
+        const Mesh ground =
+            test::quadMesh({-half, 0, -half}, {0, 0, 2 * half}, {2 * half, 0, 0});
+        const SingleSampleScene scene = sceneOf({ground.view(), box.view()});
+        INFO("half side " << half);
+        const std::vector<glm::dvec3> points{{0, 0, 0.1}, {2, 0, 0}}, up(2, {0, 1, 0});
+        CHECK(shadows(scene, light, points, {}, up) == std::vector<float>{1.0f, 0.0f});
+        CHECK(shadows(scene, light, points)[0] == 1.0f);
+    }
+}
+
+TEST_CASE("single sample shadows are the same far from the world's origin",
+          "[single-sample]") {
+    const glm::dvec3 far(1e6, -2e6, 3e6);
+    const Mesh ball = test::ballMesh({0.1, 1.5, 0}, 0.5, 24);
+    const Floor floor(30, 4.0);
+    MeshView view = ball.view();
+    AreaLight light = sphereLight({0.5, 6, 0.3}, 0.4);
+    const auto near = shadows(sceneOf({view}), light, floor.points, {}, floor.normals);
+    view.worldFromObject[3] = glm::dvec4(far, 1.0);
+    light.position += far;
+    std::vector<glm::dvec3> points;
+    for (const glm::dvec3 p : floor.points)
+        points.push_back(p + far);
+    const auto there = shadows(sceneOf({view}), light, points, {}, floor.normals);
+    CHECK(test::mean(near) > 0.05);
+    for (std::size_t i = 0; i < near.size(); ++i)
+        CHECK(there[i] == Approx(near[i]).margin(1e-4));
+}
+
+TEST_CASE("what lies behind a light that shines to one side casts nothing",
+          "[single-sample][exact]") {
+    const Mesh ceiling = test::quadMesh({-5, 3.02, -5}, {10, 0, 0}, {0, 0, 10});
+    const SingleSampleScene scene = sceneOf({ceiling.view()}, {{{1, 3.6, 0}, 0.5}});
+    AreaLight light;
+    light.shape = GENERATE(LightShape::disk, LightShape::rect);
+    light.position = {0, 3, 0};
+    light.direction = {0, -1, 0};
+    light.radius = 0.3;
+    light.size = {0.6, 0.6};
+    const Floor floor(20, 8.0);
+    for (const float dark : shadows(scene, light, floor.points, {}, floor.normals))
+        CHECK(dark == 0.0f);
+    // A wall that reaches up past the light casts with its part in front.
+    const Mesh low = test::quadMesh({0.5, 0, -9}, {0, 3, 0}, {0, 0, 18}),
+               high = test::quadMesh({0.5, 0, -9}, {0, 9, 0}, {0, 0, 18});
+    const auto cut = shadows(sceneOf({high.view()}), light, floor.points, {},
+                             floor.normals),
+               whole =
+                   shadows(sceneOf({low.view()}), light, floor.points, {}, floor.normals);
+    for (std::size_t i = 0; i < cut.size(); ++i)
+        CHECK(cut[i] == Approx(whole[i]).margin(1e-5));
+}
+
 TEST_CASE("the tree finds what a search through all objects finds",
           "[single-sample][twin]") {
     Random random;
@@ -321,7 +440,7 @@ TEST_CASE("the tree finds what a search through all objects finds",
         std::vector<std::array<double, 3>> expected;  // minimum, product, sum
         for (const glm::dvec3& p : points) {
             CentreRay ray = rayTo(p, light.position, hard ? 0.0 : 2 * light.radius);
-            double least = 1.0, product = 1.0, sum = 0.0;
+            double least = 1.0, product = 1.0, sum = 0.0, nearest = HUGE_VAL;
             const auto add = [&](double tau) {
                 const double s = bernstein(tau);
                 least = std::min(least, s);
@@ -329,10 +448,12 @@ TEST_CASE("the tree finds what a search through all objects finds",
                 sum += 1 - s;
             };
             for (std::size_t t = 0; t < mesh.indices.size(); t += 3)
-                add(tauOfTriangle(ray,
-                                  {glm::dvec3(mesh.positions[mesh.indices[t]]),
-                                   glm::dvec3(mesh.positions[mesh.indices[t + 1]]),
-                                   glm::dvec3(mesh.positions[mesh.indices[t + 2]])}));
+                nearest = std::min(
+                    nearest, tauOfTriangle(
+                                 ray, {glm::dvec3(mesh.positions[mesh.indices[t]]),
+                                       glm::dvec3(mesh.positions[mesh.indices[t + 1]]),
+                                       glm::dvec3(mesh.positions[mesh.indices[t + 2]])}));
+            add(nearest);
             for (const SoftSphere& s : spheres)
                 add(tauOfSphere(ray, s.centre, s.radius));
             expected.push_back({1 - least, 1 - product, std::min(1.0, sum)});
@@ -512,8 +633,8 @@ TEST_CASE("single sample shadows are finite for whatever comes",
 
 TEST_CASE("the row single-sample answers by its settings, alike on any number of threads",
           "[single-sample]") {
-    const Mesh body = test::bumpyBody(3000);
-    CasterViews casters({body.view()});
+    const Mesh body = test::bumpyBody(3000), ball = test::ballMesh({0.5, 2, 0}, 0.4, 8);
+    CasterViews casters({body.view(), ball.view()});
     BakeOptions bake;
     bake.light = sphereLight({2, 5, 1}, 0.5);
     const MethodScene scene{casters, bake, {}};
