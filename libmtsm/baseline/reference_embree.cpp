@@ -87,6 +87,19 @@ double weightOf(const light::LightSampler& sampler, const LightLook& look,
     return std::max(0.0, glm::dot(s.delta, look.normal) / reach) * s.weight;
 }
 
+/// Where a ray meets the plane of a triangle with a corner at 0 and sides b and c, in
+/// double, moved into the triangle; nothing where it goes along the plane.
+std::optional<glm::dvec2> inTriangle(glm::dvec3 from, glm::dvec3 direction, glm::dvec3 b,
+                                     glm::dvec3 c) {
+    const glm::dvec3 across = glm::cross(direction, c), other = glm::cross(from, b);
+    const double scale = glm::dot(b, across);
+    const glm::dvec2 at(glm::dot(from, across) / scale,
+                        glm::dot(direction, other) / scale);
+    if (!std::isfinite(at.x) || !std::isfinite(at.y)) return std::nullopt;
+    const double u = std::clamp(at.x, 0.0, 1.0);
+    return glm::dvec2(u, std::clamp(at.y, 0.0, 1.0 - u));
+}
+
 }  // namespace
 
 struct EmbreeReference::Scene {
@@ -97,7 +110,7 @@ struct EmbreeReference::Scene {
     std::vector<std::unique_ptr<RibbonStrands>> strands;
     std::vector<bool> isStrands;  // [geometries]
     std::vector<VolumeDepth> volumes;
-    glm::dvec3 origin{0.0};  // what Embree's floats are relative to: a caster's vertex
+    glm::dvec3 origin{0.0};  // what Embree's floats are relative to
     bool hasOrigin = false;
     glm::dvec3 low{std::numeric_limits<double>::infinity()};
     glm::dvec3 high{-std::numeric_limits<double>::infinity()};
@@ -113,8 +126,11 @@ struct EmbreeReference::Scene {
     Status add(const MeshView& mesh);
     Status add(const StrandsView& view);
     Status add(const VolumeView& volume);
+    void reach(glm::dvec3 world);
     glm::vec3 place(glm::dvec3 world);
     void attach(RTCGeometry geometry, bool strands);
+    void locate(const RTCHit& met, glm::dvec3 from, glm::dvec3 direction,
+                Hit& hit) const noexcept;
     [[nodiscard]] glm::vec3 visibility(glm::dvec3 from, glm::dvec3 delta, bool endless,
                                        bool color) const noexcept;
     void trace(RayStream& stream, ShadowContext& context) const noexcept;
@@ -130,13 +146,19 @@ struct EmbreeReference::Scene {
                  const ReferenceOptions& options, const Out& out) const noexcept;
 };
 
-/// Takes a vertex into the bounds and to Embree's space.
+/// Takes a vertex into the bounds.
+void EmbreeReference::Scene::reach(glm::dvec3 world) {
+    if (!base::isFinite(world)) return;
+    low = glm::min(low, world);
+    high = glm::max(high, world);
+}
+
+/// Takes a vertex, already within the bounds, to Embree's space: around the middle of the
+/// bounds as they are when the first one comes.
 glm::vec3 EmbreeReference::Scene::place(glm::dvec3 world) {
-    if (base::isFinite(world)) {
-        if (!hasOrigin) origin = world;
+    if (!hasOrigin && low.x <= high.x) {
+        origin = 0.5 * low + 0.5 * high;
         hasOrigin = true;
-        low = glm::min(low, world);
-        high = glm::max(high, world);
     }
     return glm::vec3(world - origin);
 }
@@ -146,6 +168,36 @@ void EmbreeReference::Scene::attach(RTCGeometry geometry, bool asStrands) {
     rtcAttachGeometry(scene, geometry);
     rtcReleaseGeometry(geometry);
     isStrands.push_back(asStrands);
+}
+
+/// Position and width of a hit, relative to the origin, from the triangle or strand
+/// itself: along a ray from afar a float is too coarse.
+void EmbreeReference::Scene::locate(const RTCHit& met, glm::dvec3 from,
+                                    glm::dvec3 direction, Hit& hit) const noexcept {
+    const RTCGeometry geometry = rtcGetGeometry(scene, met.geomID);
+    if (hit.strand) {
+        const auto& r =
+            *static_cast<const RibbonStrands*>(rtcGetGeometryUserData(geometry));
+        const glm::dvec4 a = r.points[r.first[met.primID]],
+                         b = r.points[r.first[met.primID] + 1];
+        const glm::dvec4 axis = glm::mix(a, b, double(met.u));
+        hit.position = from + glm::dot(glm::dvec3(axis) - from, direction) * direction;
+        hit.width = 2.0 * axis.w;
+        return;
+    }
+    const auto* vertices = static_cast<const float*>(
+        rtcGetGeometryBufferData(geometry, RTC_BUFFER_TYPE_VERTEX, 0));
+    const auto* corner = static_cast<const std::uint32_t*>(rtcGetGeometryBufferData(
+                             geometry, RTC_BUFFER_TYPE_INDEX, 0)) +
+                         3 * std::size_t(met.primID);
+    const auto vertex = [&](int i) {
+        const float* v = vertices + 3 * std::size_t(corner[i]);
+        return glm::dvec3(v[0], v[1], v[2]);
+    };
+    const glm::dvec3 a = vertex(0), b = vertex(1) - a, c = vertex(2) - a;
+    const glm::dvec2 place =
+        inTriangle(from - a, direction, b, c).value_or(glm::dvec2(met.u, met.v));
+    hit.position = a + place.x * b + place.y * c;
 }
 
 Status EmbreeReference::Scene::add(const MeshView& mesh) {
@@ -162,9 +214,16 @@ Status EmbreeReference::Scene::add(const MeshView& mesh) {
         rtcReleaseGeometry(geometry);
         return noMemory("a mesh", mesh.triangleCount, "triangles");
     }
+    std::vector<bool> used(mesh.vertexCount, false);
+    for (std::size_t i = 0; i < 3 * mesh.triangleCount; ++i)
+        used[mesh.indices[i]] = true;
+    const auto world = [&](std::size_t i) {
+        return glm::dvec3(mesh.worldFromObject * glm::dvec4(mesh.positions[i], 1.0));
+    };
+    for (std::size_t i = 0; i < mesh.vertexCount; ++i)
+        if (used[i]) reach(world(i));
     for (std::size_t i = 0; i < mesh.vertexCount; ++i) {
-        const glm::vec3 p =
-            place(mesh.worldFromObject * glm::dvec4(mesh.positions[i], 1.0));
+        const glm::vec3 p = used[i] ? place(world(i)) : glm::vec3(0.0f);
         for (int c = 0; c < 3; ++c)
             vertices[3 * i + std::size_t(c)] = p[c];
     }
@@ -207,6 +266,7 @@ Status EmbreeReference::Scene::add(const StrandsView& view) {
                 joined = false;
                 continue;
             }
+            reach(world);
             const glm::vec3 p = place(world);
             if (joined && glm::vec3(r.points.back()) == p) continue;
             if (joined) r.first.push_back(std::uint32_t(r.points.size() - 1));
@@ -237,7 +297,9 @@ Status EmbreeReference::Scene::add(const VolumeView& volume) {
             const glm::dvec3 at(corner & 1, corner >> 1 & 1, corner >> 2);
             const glm::dvec3 index =
                 glm::dvec3(volume.blocks[i]) - 0.5 + double(VolumeView::kBlockSide) * at;
-            (void)place(volume.worldFromIndex * glm::dvec4(index, 1.0));
+            const glm::dvec3 world = volume.worldFromIndex * glm::dvec4(index, 1.0);
+            reach(world);
+            (void)place(world);
         }
     }
     volumes.emplace_back(volume);
@@ -315,7 +377,6 @@ void EmbreeReference::Scene::look(const light::LightSampler& sampler,
                                   const std::uint32_t* order, std::size_t count,
                                   LightSeen* seen, bool color,
                                   const ReferenceOptions& options) const noexcept {
-    const double offset = options.offset * glm::length(high - low);
     ShadowContext context;
     rtcInitIntersectContext(&context);
     // Coherent traversal may find a hit twice (seen where the tree is a single leaf): it
@@ -339,7 +400,12 @@ void EmbreeReference::Scene::look(const light::LightSampler& sampler,
         stream.count = 0;
     };
     for (std::size_t l = 0; l < lookCount; ++l) {
-        const PointRays rays(sampler, looks[l].point, looks[l].normal, origin, offset);
+        const bool hasNormal = looks[l].normal != glm::dvec3(0.0);
+        const PointRays rays(
+            sampler, looks[l].point, looks[l].normal, origin,
+            rayOffset(looks[l].point,
+                      hasNormal ? looks[l].normal : sampler.towards(looks[l].point), low,
+                      high, options.offset));
         const base::SquareSequence sequence(looks[l].key);
         for (std::size_t done = 0; done < count;) {
             std::uint32_t index[kStreamRays];
@@ -421,8 +487,7 @@ Result<EmbreeReference> EmbreeReference::build(CasterSource& casters, bool robus
     // count a transparent triangle twice; COMPACT costs a fifth, and together with ROBUST
     // it does not come back.
     rtcSetSceneBuildQuality(scene->scene, RTC_BUILD_QUALITY_MEDIUM);
-    rtcSetSceneFlags(scene->scene,
-                     robust ? RTC_SCENE_FLAG_ROBUST : RTC_SCENE_FLAG_NONE);
+    rtcSetSceneFlags(scene->scene, robust ? RTC_SCENE_FLAG_ROBUST : RTC_SCENE_FLAG_NONE);
     const Status read = casters.visit([&](const CasterView& caster) {
         return std::visit([&](const auto& view) { return scene->add(view); }, caster);
     });
@@ -487,8 +552,9 @@ std::optional<EmbreeReference::Hit> EmbreeReference::firstHit(
     rtcIntersect1(scene_->scene, &context, &ray);
     if (ray.hit.geomID == RTC_INVALID_GEOMETRY_ID) return std::nullopt;
     Hit hit;
-    hit.position = origin + double(ray.ray.tfar) * d;
     hit.strand = scene_->isStrands[ray.hit.geomID];
+    scene_->locate(ray.hit, o, d, hit);
+    hit.position += scene_->origin;
     // Of a strand Embree tells the direction along it.
     const glm::dvec3 n =
         glm::normalize(glm::dvec3(ray.hit.Ng_x, ray.hit.Ng_y, ray.hit.Ng_z));

@@ -34,9 +34,10 @@ struct ReferenceOptions {
     int samples = 4096;  ///< 1..kMaxSamples; the truth takes 4096
     std::uint32_t seed = 0x7472u;
     Weight weight = Weight::uniform;
-    /// Rays start this far from the receiver, along its normal if there is one, as a
-    /// share of the diagonal of the casters' bounds.
-    double offset = 1e-5;
+    /// Rays start off the receiver by this share of how far the casters reach from it
+    /// along its normal, or along the way to the light if it has none (rayOffset()): 64
+    /// units of float there. So a wide floor does not lift the rays off itself.
+    double offset = 0x1p-18;
 };
 
 /// A point that looks at a light: at samples first + order[0..count) of its sequence.
@@ -67,7 +68,8 @@ class EmbreeReference {
     EmbreeReference& operator=(EmbreeReference&&) noexcept;
     ~EmbreeReference();
 
-    /// Bounds of the casters, world; of strands without their width.
+    /// Bounds of the casters, world: of vertices that triangles use, of strands without
+    /// their width.
     [[nodiscard]] glm::dvec3 boundsMin() const noexcept;
     [[nodiscard]] glm::dvec3 boundsMax() const noexcept;
     [[nodiscard]] bool hasVolumes() const noexcept;
@@ -109,6 +111,7 @@ class EmbreeReference {
         /// as far as that is possible towards the ray's origin.
         glm::dvec3 normal{0.0};
         bool strand = false;
+        double width = 0.0;  ///< of the strand there
     };
     /// `direction` need not be a unit vector.
     [[nodiscard]] std::optional<Hit> firstHit(glm::dvec3 origin,

@@ -67,6 +67,14 @@ std::vector<std::uint32_t> neighbourOrder(std::uint32_t begin, std::uint32_t end
     return order;
 }
 
+double rayOffset(glm::dvec3 point, glm::dvec3 axis, glm::dvec3 low, glm::dvec3 high,
+                 double share) noexcept {
+    const double length = glm::length(axis);
+    if (!(length > 0.0) || !(low.x <= high.x)) return 0.0;  // no axis, no casters
+    const glm::dvec3 reach = glm::max(glm::abs(point - low), glm::abs(high - point));
+    return share * glm::dot(glm::abs(axis) / length, reach);
+}
+
 PointRays::PointRays(const light::LightSampler& sampler, glm::dvec3 point,
                      glm::dvec3 normal, glm::dvec3 sceneOrigin, double offset) noexcept
     : normal_(normal), offset_(float(offset)), hasNormal_(normal != glm::dvec3(0.0)) {

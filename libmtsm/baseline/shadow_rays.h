@@ -34,6 +34,13 @@ struct RayStream {
 /// place: the first 4096 points of every base::SquareSequence share their cells.
 std::vector<std::uint32_t> neighbourOrder(std::uint32_t begin, std::uint32_t end);
 
+/// How far off `point`, along `axis`, rays start: `share` of how far the box reaches from
+/// there in each coordinate, as far as that moves along the axis. Rounding of vertices,
+/// of the ray and of a triangle's plane, which is as large as the triangle, stays below
+/// 16 * 2^-24 of it.
+[[nodiscard]] double rayOffset(glm::dvec3 point, glm::dvec3 axis, glm::dvec3 low,
+                               glm::dvec3 high, double share) noexcept;
+
 /// The rays from one point to a light.
 class PointRays {
   public:
