@@ -1,10 +1,16 @@
 #include "baseline/crossings.h"
 
 #include <algorithm>
+#include <cmath>
 #include <glm/geometric.hpp>
 
 namespace mtsm::baseline {
 namespace {
+
+// A hit with a barycentric coordinate below the first may be one of two triangles'; two
+// such hits nearer to each other than the second, as a share of the way, are one place.
+// Both are some times what floats round.
+constexpr float kBorder = 0x1p-20f, kSamePlace = 0x1p-16f;
 
 /// `opaque(i, hit)` says whether ray i of the packet ends at a hit; else it goes on.
 template <typename Opaque>
@@ -66,13 +72,28 @@ float RibbonStrands::opacityAt(std::size_t segment, float u) const noexcept {
     return a + u * (b - a);
 }
 
+bool ShadowContext::paidBorder(unsigned ray, const void* mesh, float t) noexcept {
+    unsigned& count = borderCount[ray];
+    for (unsigned k = 0; k < std::min(count, kBorders); ++k) {
+        const Border& b = borders[ray][k];
+        if (b.mesh == mesh && std::abs(b.t - t) <= kSamePlace * std::max(b.t, t))
+            return true;
+    }
+    borders[ray][count++ % kBorders] = {mesh, t};
+    return false;
+}
+
 void payMesh(const RTCFilterFunctionNArguments* args) {
     auto& context = *static_cast<ShadowContext*>(args->context);
     const auto& mesh = *static_cast<const TranslucentMesh*>(args->geometryUserPtr);
     filterHits(args, [&](unsigned i, const RTCHit& hit) {
+        const unsigned ray = RTCRayN_id(args->ray, args->N, i);
+        // While the filter runs the ray ends at the hit.
+        if (std::min({hit.u, hit.v, 1.0f - hit.u - hit.v}) <= kBorder &&
+            context.paidBorder(ray, &mesh, RTCRayN_tfar(args->ray, args->N, i)))
+            return false;
         return !context.pay(
-            RTCRayN_id(args->ray, args->N, i),
-            mesh.opacityAt(hit.primID, glm::vec2(hit.u, hit.v), context.color));
+            ray, mesh.opacityAt(hit.primID, glm::vec2(hit.u, hit.v), context.color));
     });
 }
 
@@ -91,6 +112,13 @@ void payStrands(const RTCFilterFunctionNArguments* args) {
             if (u && !beyondEnd(strands, segment - 1, *u)) return false;
         }
         return !context.pay(ray.id, glm::vec3(strands.opacityAt(segment, hit.u)));
+    });
+}
+
+void passEnds(const RTCFilterFunctionNArguments* args) {
+    const auto& strands = *static_cast<const RibbonStrands*>(args->geometryUserPtr);
+    filterHits(args, [&](unsigned, const RTCHit& hit) {
+        return !beyondEnd(strands, hit.primID, hit.u);
     });
 }
 

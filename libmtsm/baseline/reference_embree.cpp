@@ -10,7 +10,9 @@
 #include <glm/matrix.hpp>
 #include <glm/vec4.hpp>
 #include <limits>
+#include <new>
 #include <numeric>
+#include <stdexcept>
 #include <vector>
 
 #include "base/finite.h"
@@ -285,6 +287,7 @@ Status EmbreeReference::Scene::add(const StrandsView& view) {
                                r.first.data(), 0, sizeof(std::uint32_t), r.segments);
     rtcSetGeometryUserData(geometry, ribbons.get());
     rtcSetGeometryOccludedFilterFunction(geometry, payStrands);
+    rtcSetGeometryIntersectFilterFunction(geometry, passEnds);
     strands.push_back(std::move(ribbons));
     attach(geometry, true);
     return {};
@@ -323,8 +326,7 @@ glm::vec3 EmbreeReference::Scene::visibility(glm::dvec3 from, glm::dvec3 delta,
     ray.dir_z = float(delta.z / length);
     ray.tfar = endless ? std::numeric_limits<float>::infinity() : float(length);
     ray.mask = ~0u;
-    context.visible[0] = glm::vec3(1.0f);
-    context.reach[0] = ray.tfar;
+    context.begin(0, ray.tfar);
     rtcOccluded1(scene, &context, &ray);
     if (ray.tfar < 0.0f) return glm::vec3(0.0f);
     double depth = 0.0;
@@ -340,8 +342,8 @@ void EmbreeReference::Scene::trace(RayStream& s, ShadowContext& context) const n
     for (std::size_t i = 0; i < s.count; ++i) {
         mask[i] = ~0u;
         id[i] = std::uint32_t(i);
-        reach[i] = context.reach[i] = s.length[i];
-        context.visible[i] = glm::vec3(1.0f);
+        reach[i] = s.length[i];
+        context.begin(unsigned(i), s.length[i]);
     }
     const bool coherent = context.flags == RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
     if (!coherent || (s.count <= kPacketRays && s.owner[0] != s.owner[s.count - 1])) {
@@ -476,7 +478,7 @@ EmbreeReference::EmbreeReference(EmbreeReference&&) noexcept = default;
 EmbreeReference& EmbreeReference::operator=(EmbreeReference&&) noexcept = default;
 EmbreeReference::~EmbreeReference() = default;
 
-Result<EmbreeReference> EmbreeReference::build(CasterSource& casters, bool robust) {
+Result<EmbreeReference> EmbreeReference::build(CasterSource& casters, bool robust) try {
     auto scene = std::make_unique<Scene>();
     scene->device = rtcNewDevice(nullptr);
     if (!scene->device)
@@ -493,9 +495,17 @@ Result<EmbreeReference> EmbreeReference::build(CasterSource& casters, bool robus
     });
     if (!read) return read.error();
     rtcCommitScene(scene->scene);
-    if (rtcGetDeviceError(scene->device) != RTC_ERROR_NONE)
+    const RTCError error = rtcGetDeviceError(scene->device);
+    if (error == RTC_ERROR_OUT_OF_MEMORY)
+        return Error{ErrorCode::tooLarge,
+                     "Embree has no memory for a tree over the casters"};
+    if (error != RTC_ERROR_NONE)
         return Error{ErrorCode::badFile, "Embree could not build a scene of the casters"};
     return EmbreeReference(std::move(scene));
+} catch (const std::bad_alloc&) {
+    return Error{ErrorCode::tooLarge, "there is no memory for a copy of the casters"};
+} catch (const std::length_error&) {
+    return Error{ErrorCode::tooLarge, "there is no memory for a copy of the casters"};
 }
 
 glm::dvec3 EmbreeReference::boundsMin() const noexcept {

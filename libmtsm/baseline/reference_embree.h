@@ -62,7 +62,8 @@ struct LightSeen {
 class EmbreeReference {
   public:
     /// Holds a copy of all casters. Not `robust`, rays may slip between two triangles:
-    /// faster, not for a truth. Errors: what visit() returns, badFile if Embree fails.
+    /// faster, not for a truth. Errors: what visit() returns, tooLarge if memory runs
+    /// out, badFile if Embree fails.
     static Result<EmbreeReference> build(CasterSource& casters, bool robust = true);
     EmbreeReference(EmbreeReference&&) noexcept;
     EmbreeReference& operator=(EmbreeReference&&) noexcept;

@@ -49,7 +49,7 @@ class PointRays {
     PointRays(const light::LightSampler& sampler, glm::dvec3 point, glm::dvec3 normal,
               glm::dvec3 sceneOrigin, double offset) noexcept;
     /// Appends the rays to samples index[0..count), count <= room(), but those below the
-    /// horizon.
+    /// horizon. A ray to a sample at its start has the length 0.
     void append(const base::SquareSequence& sequence, const std::uint32_t* index,
                 std::size_t count, std::uint32_t owner, RayStream& stream) const noexcept;
 
