@@ -27,6 +27,9 @@ struct ShadowContext : RTCIntersectContext {
     /// Per ray and channel; without colour all three are the same.
     glm::vec3 visible[kStreamRays];
     float reach[kStreamRays];  ///< where rays end; Embree shortens its own to the hit
+    /// Rays come from so far behind their true start: Embree drops hits on a strand that
+    /// are nearer to a ray's origin than the strand is wide.
+    float back = 0.0f;
     bool color = false;
     /// Per ray: the latest crossings on a border of a triangle that were paid for. The
     /// triangles on the other side of the border, or around the corner, meet the ray at

@@ -57,25 +57,34 @@ Error noMemory(const char* kind, std::size_t count, const char* parts) {
 
 constexpr std::size_t kPacketRays = 16;
 
-/// Up to 16 rays of a stream as a packet. That is faster than a stream where origins
-/// differ or frustums are of no use.
+/// Up to 16 rays of a stream as a packet, but those that have ended. That is faster than
+/// a stream where origins differ or frustums are of no use.
 void tracePacket(RTCScene scene, const RayStream& s, std::size_t first,
                  ShadowContext& context, float* reach) {
     const std::size_t n = std::min(kPacketRays, s.count - first);
     alignas(64) RTCRay16 p{};
     alignas(64) int valid[kPacketRays] = {};
-    std::fill_n(valid, n, -1);
-    std::copy_n(s.orgX + first, n, p.org_x);
-    std::copy_n(s.orgY + first, n, p.org_y);
-    std::copy_n(s.orgZ + first, n, p.org_z);
+    const float back = context.back;
+    bool any = false;
+    for (std::size_t k = 0; k < n; ++k) {
+        const std::size_t i = first + k;
+        valid[k] = reach[i] < 0.0f ? 0 : -1;
+        any = any || valid[k];
+        p.org_x[k] = s.orgX[i] - back * s.dirX[i];
+        p.org_y[k] = s.orgY[i] - back * s.dirY[i];
+        p.org_z[k] = s.orgZ[i] - back * s.dirZ[i];
+    }
+    if (!any) return;
     std::copy_n(s.dirX + first, n, p.dir_x);
     std::copy_n(s.dirY + first, n, p.dir_y);
     std::copy_n(s.dirZ + first, n, p.dir_z);
-    std::copy_n(s.length + first, n, p.tfar);
+    for (std::size_t k = 0; k < n; ++k)
+        p.tfar[k] = s.length[first + k] + back;
     std::fill_n(p.mask, n, ~0u);
     std::iota(p.id, p.id + n, unsigned(first));
     rtcOccluded16(valid, scene, &context, &p);
-    std::copy_n(p.tfar, n, reach + first);
+    for (std::size_t k = 0; k < n; ++k)
+        if (valid[k]) reach[first + k] = p.tfar[k];
 }
 
 /// What a sample counts.
@@ -107,10 +116,13 @@ std::optional<glm::dvec2> inTriangle(glm::dvec3 from, glm::dvec3 direction, glm:
 struct EmbreeReference::Scene {
     Memory memory;  // outlives the device
     RTCDevice device = nullptr;
-    RTCScene scene = nullptr;
+    /// Casters that end a ray at once, for coherent streams, and those at which it pays.
+    RTCScene solid = nullptr, paying = nullptr;
+    float back = 0.0f;  // the largest width of a strand; see ShadowContext
     std::vector<std::unique_ptr<TranslucentMesh>> meshes;
     std::vector<std::unique_ptr<RibbonStrands>> strands;
-    std::vector<bool> isStrands;  // [geometries]
+    std::vector<bool> isStrands;  // [geometries of `paying`]
+    bool hasSolid = false;
     std::vector<VolumeDepth> volumes;
     glm::dvec3 origin{0.0};  // what Embree's floats are relative to
     bool hasOrigin = false;
@@ -121,7 +133,8 @@ struct EmbreeReference::Scene {
     Scene(const Scene&) = delete;
     Scene& operator=(const Scene&) = delete;
     ~Scene() {
-        if (scene) rtcReleaseScene(scene);
+        if (solid) rtcReleaseScene(solid);
+        if (paying) rtcReleaseScene(paying);
         if (device) rtcReleaseDevice(device);
     }
 
@@ -130,8 +143,8 @@ struct EmbreeReference::Scene {
     Status add(const VolumeView& volume);
     void reach(glm::dvec3 world);
     glm::vec3 place(glm::dvec3 world);
-    void attach(RTCGeometry geometry, bool strands);
-    void locate(const RTCHit& met, glm::dvec3 from, glm::dvec3 direction,
+    void attach(RTCGeometry geometry, bool pays, bool strands);
+    void locate(RTCScene scene, const RTCHit& met, glm::dvec3 from, glm::dvec3 direction,
                 Hit& hit) const noexcept;
     [[nodiscard]] glm::vec3 visibility(glm::dvec3 from, glm::dvec3 delta, bool endless,
                                        bool color) const noexcept;
@@ -165,16 +178,19 @@ glm::vec3 EmbreeReference::Scene::place(glm::dvec3 world) {
     return glm::vec3(world - origin);
 }
 
-void EmbreeReference::Scene::attach(RTCGeometry geometry, bool asStrands) {
+void EmbreeReference::Scene::attach(RTCGeometry geometry, bool pays, bool asStrands) {
     rtcCommitGeometry(geometry);
-    rtcAttachGeometry(scene, geometry);
+    rtcAttachGeometry(pays ? paying : solid, geometry);
     rtcReleaseGeometry(geometry);
-    isStrands.push_back(asStrands);
+    if (pays)
+        isStrands.push_back(asStrands);
+    else
+        hasSolid = true;
 }
 
 /// Position and width of a hit, relative to the origin, from the triangle or strand
 /// itself: along a ray from afar a float is too coarse.
-void EmbreeReference::Scene::locate(const RTCHit& met, glm::dvec3 from,
+void EmbreeReference::Scene::locate(RTCScene scene, const RTCHit& met, glm::dvec3 from,
                                     glm::dvec3 direction, Hit& hit) const noexcept {
     const RTCGeometry geometry = rtcGetGeometry(scene, met.geomID);
     if (hit.strand) {
@@ -230,7 +246,8 @@ Status EmbreeReference::Scene::add(const MeshView& mesh) {
             vertices[3 * i + std::size_t(c)] = p[c];
     }
     std::copy_n(mesh.indices, 3 * mesh.triangleCount, indices);
-    if (textured ? mesh.texture->translucent() : mesh.opacity < 1.0f) {
+    const bool pays = textured ? mesh.texture->translucent() : mesh.opacity < 1.0f;
+    if (pays) {
         auto translucent = std::make_unique<TranslucentMesh>();
         translucent->opacity = mesh.opacity;
         translucent->channels = channelOpacity(mesh.opacity, mesh.tint);
@@ -244,7 +261,7 @@ Status EmbreeReference::Scene::add(const MeshView& mesh) {
         rtcSetGeometryOccludedFilterFunction(geometry, payMesh);
         meshes.push_back(std::move(translucent));
     }
-    attach(geometry, false);
+    attach(geometry, pays, false);
     return {};
 }
 
@@ -279,6 +296,8 @@ Status EmbreeReference::Scene::add(const StrandsView& view) {
     }
     r.segments = r.first.size();
     if (r.segments == 0) return {};
+    for (const glm::vec4& p : r.points)
+        back = std::max(back, 2.0f * p.w);
     r.first.resize(r.segments + 3);  // Embree reads four at a time
     RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_FLAT_LINEAR_CURVE);
     rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT4,
@@ -289,7 +308,7 @@ Status EmbreeReference::Scene::add(const StrandsView& view) {
     rtcSetGeometryOccludedFilterFunction(geometry, payStrands);
     rtcSetGeometryIntersectFilterFunction(geometry, passEnds);
     strands.push_back(std::move(ribbons));
-    attach(geometry, true);
+    attach(geometry, true, true);
     return {};
 }
 
@@ -327,7 +346,15 @@ glm::vec3 EmbreeReference::Scene::visibility(glm::dvec3 from, glm::dvec3 delta,
     ray.tfar = endless ? std::numeric_limits<float>::infinity() : float(length);
     ray.mask = ~0u;
     context.begin(0, ray.tfar);
-    rtcOccluded1(scene, &context, &ray);
+    if (hasSolid) rtcOccluded1(solid, &context, &ray);
+    if (!isStrands.empty() && ray.tfar >= 0.0f) {
+        context.back = back;
+        ray.org_x -= back * ray.dir_x;
+        ray.org_y -= back * ray.dir_y;
+        ray.org_z -= back * ray.dir_z;
+        ray.tfar += back;
+        rtcOccluded1(paying, &context, &ray);
+    }
     if (ray.tfar < 0.0f) return glm::vec3(0.0f);
     double depth = 0.0;
     for (const VolumeDepth& volume : volumes)
@@ -345,15 +372,21 @@ void EmbreeReference::Scene::trace(RayStream& s, ShadowContext& context) const n
         reach[i] = s.length[i];
         context.begin(unsigned(i), s.length[i]);
     }
-    const bool coherent = context.flags == RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
-    if (!coherent || (s.count <= kPacketRays && s.owner[0] != s.owner[s.count - 1])) {
-        for (std::size_t i = 0; i < s.count; i += kPacketRays)
-            tracePacket(scene, s, i, context, reach);
-    } else {
+    context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+    context.back = 0.0f;
+    if (hasSolid && s.count <= kPacketRays && s.owner[0] != s.owner[s.count - 1]) {
+        tracePacket(solid, s, 0, context, reach);
+    } else if (hasSolid) {
         RTCRayNp rays{s.orgX, s.orgY, s.orgZ, zero, s.dirX, s.dirY,
                       s.dirZ, zero,   reach,  mask, id,     flags};
-        rtcOccludedNp(scene, &context, &rays, unsigned(s.count));
+        rtcOccludedNp(solid, &context, &rays, unsigned(s.count));
     }
+    // Coherent traversal may find a hit twice (seen where the tree is a single leaf): it
+    // is for casters that end a ray at once.
+    context.flags = RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
+    context.back = back;
+    for (std::size_t i = 0; !isStrands.empty() && i < s.count; i += kPacketRays)
+        tracePacket(paying, s, i, context, reach);
     for (std::size_t i = 0; i < s.count; ++i) {
         if (reach[i] < 0.0f)
             context.visible[i] = glm::vec3(0.0f);
@@ -381,11 +414,6 @@ void EmbreeReference::Scene::look(const light::LightSampler& sampler,
                                   const ReferenceOptions& options) const noexcept {
     ShadowContext context;
     rtcInitIntersectContext(&context);
-    // Coherent traversal may find a hit twice (seen where the tree is a single leaf): it
-    // is for casters that end a ray at once.
-    context.flags = meshes.empty() && strands.empty()
-                        ? RTC_INTERSECT_CONTEXT_FLAG_COHERENT
-                        : RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
     context.color = color;
     RayStream stream;
     const auto flush = [&] {
@@ -484,17 +512,20 @@ Result<EmbreeReference> EmbreeReference::build(CasterSource& casters, bool robus
     if (!scene->device)
         return Error{ErrorCode::unsupported, "Embree cannot start on this machine"};
     rtcSetDeviceMemoryMonitorFunction(scene->device, countMemory, &scene->memory);
-    scene->scene = rtcNewScene(scene->device);
     // Measured (tests/bench/NOTES.md): HIGH gains nothing, and its spatial splits would
     // count a transparent triangle twice; COMPACT costs a fifth, and together with ROBUST
     // it does not come back.
-    rtcSetSceneBuildQuality(scene->scene, RTC_BUILD_QUALITY_MEDIUM);
-    rtcSetSceneFlags(scene->scene, robust ? RTC_SCENE_FLAG_ROBUST : RTC_SCENE_FLAG_NONE);
+    for (RTCScene* part : {&scene->solid, &scene->paying}) {
+        *part = rtcNewScene(scene->device);
+        rtcSetSceneBuildQuality(*part, RTC_BUILD_QUALITY_MEDIUM);
+        rtcSetSceneFlags(*part, robust ? RTC_SCENE_FLAG_ROBUST : RTC_SCENE_FLAG_NONE);
+    }
     const Status read = casters.visit([&](const CasterView& caster) {
         return std::visit([&](const auto& view) { return scene->add(view); }, caster);
     });
     if (!read) return read.error();
-    rtcCommitScene(scene->scene);
+    rtcCommitScene(scene->solid);
+    rtcCommitScene(scene->paying);
     const RTCError error = rtcGetDeviceError(scene->device);
     if (error == RTC_ERROR_OUT_OF_MEMORY)
         return Error{ErrorCode::tooLarge,
@@ -559,11 +590,16 @@ std::optional<EmbreeReference::Hit> EmbreeReference::firstHit(
     ray.ray.tfar = std::numeric_limits<float>::infinity();
     ray.ray.mask = ~0u;
     ray.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-    rtcIntersect1(scene_->scene, &context, &ray);
+    rtcIntersect1(scene_->solid, &context, &ray);
+    const RTCHit behind = ray.hit;
+    ray.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+    rtcIntersect1(scene_->paying, &context, &ray);
+    const bool pays = ray.hit.geomID != RTC_INVALID_GEOMETRY_ID;
+    if (!pays) ray.hit = behind;
     if (ray.hit.geomID == RTC_INVALID_GEOMETRY_ID) return std::nullopt;
     Hit hit;
-    hit.strand = scene_->isStrands[ray.hit.geomID];
-    scene_->locate(ray.hit, o, d, hit);
+    hit.strand = pays && scene_->isStrands[ray.hit.geomID];
+    scene_->locate(pays ? scene_->paying : scene_->solid, ray.hit, o, d, hit);
     hit.position += scene_->origin;
     // Of a strand Embree tells the direction along it.
     const glm::dvec3 n =

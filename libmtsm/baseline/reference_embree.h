@@ -11,8 +11,8 @@
 // What a ray crosses multiplies up. Meshes: their opacity, or their texture's at the hit,
 // magnified. Strands: ribbons that face the ray, as Embree's flat linear curves, with
 // flat ends and round joints; a strand that is met in consecutive segments is crossed
-// once. As Embree has it, a strand does not shadow what lies within its width in front of
-// it along a ray: so a point on a strand is not shadowed by that place of the strand.
+// once. A strand does not shadow what lies within it, taken as round: so a point on a
+// strand is not shadowed by that place of the strand.
 // Volumes: exp(-optical depth), exact for voxels of constant density.
 #pragma once
 #include <cstddef>

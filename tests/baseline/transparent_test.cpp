@@ -402,13 +402,44 @@ TEST_CASE("a strand's ends are flat", "[baseline][exact]") {
     CHECK(!truth.firstHit({-1.01, 0, 0}, {0, 3, 0}));
 }
 
-TEST_CASE("a strand does not shadow what lies within its width", "[baseline]") {
+TEST_CASE("a strand shadows all that lies before it, but not what lies within it",
+          "[baseline]") {
     Strands hair;
     hair.add({{-1, 1, 0}, {1, 1, 0}});
     const EmbreeReference truth = build({hair.view()});
-    for (const double below : {0.0, 0.04, 0.09})
+    // Up to its radius, .05.
+    for (const double below : {-0.06, -0.04, 0.0, 0.03, 0.049})
         CHECK(truth.visibility({0, 1 - below, 0}, {0, 3, 0}).x == 1.0f);
-    CHECK(truth.visibility({0, 0.89, 0}, {0, 3, 0}).x == Approx(0.6).epsilon(1e-5));
+    for (const double below : {0.053, 0.07, 0.09, 0.11, 1.0}) {
+        CHECK(truth.visibility({0, 1 - below, 0}, {0, 3, 0}).x ==
+              Approx(0.6).epsilon(1e-5));
+        CHECK(shadow(truth, lightAbove(4, 0.001), {0, 1 - below, 0}) ==
+              Approx(0.4).epsilon(1e-5));
+    }
+    // Nor a tenth of its width off it, as rays from strands start.
+    for (double x = -0.05; x <= 0.05; x += 0.005) {
+        for (const glm::dvec3 d :
+             {glm::dvec3(0, 3, 0), {0, 3, 2}, {2, 1, -1}, {0, -3, 0}})
+            CHECK(truth.visibility({0, 1 - 0.01, x}, d).x == 1.0f);
+    }
+}
+
+TEST_CASE("sheets and bodies behind a ray's start do not count, however wide strands are",
+          "[baseline]") {
+    Strands hair;
+    hair.width = 0.5f;
+    hair.add({{-1, 2, 0}, {1, 2, 0}});
+    const Mesh sheet = quad(-5, 5, -5, 5, 0), body = quad(-5, 5, -5, 5, -0.1f);
+    MeshView thin = sheet.view();
+    thin.opacity = 0.5f;
+    const EmbreeReference truth = build({hair.view(), thin, body.view()});
+    CHECK(truth.visibility({0, 0.05, 0}, {0, 5, 0}).x == Approx(0.6).epsilon(1e-5));
+    CHECK(truth.visibility({0, -0.05, 0}, {0, 5, 0}).x == Approx(0.3).epsilon(1e-5));
+    CHECK(truth.visibility({0, -0.15, 0}, {0, 5, 0}).x == 0.0f);
+    CHECK(shadow(truth, lightAbove(4, 0.001), {0, 0, 0}) == Approx(0.4).epsilon(1e-5));
+    const auto hit = truth.firstHit({3, 4, 3}, {0, -1, 0});
+    REQUIRE(hit);
+    CHECK(hit->position == glm::dvec3(3, 0, 3));
 }
 
 TEST_CASE(
