@@ -15,6 +15,9 @@ constexpr float kBorder = 0x1p-20f, kSamePlace = 0x1p-16f;
 // Of a strand's radius: what is nearer to its axis lies within it. Rays from a strand
 // start a fifth of the radius off it (picture.cpp): at most 1.02 radii from the axis.
 constexpr float kWithin = 1.05f;
+// Segments to both sides that are looked at for that: those of bent strands may be
+// shorter than these are wide.
+constexpr int kAround = 8;
 
 /// `opaque(i, hit)` says whether ray i of the packet ends at a hit; else it goes on.
 template <typename Opaque>
@@ -62,19 +65,41 @@ bool beyondEnd(const RibbonStrands& strands, std::size_t segment, float u) {
            (u >= 1.0f && !strands.joinsRight(segment));
 }
 
+/// Does a point lie within a segment, or within its extension if `endless`?
+bool liesWithin(const RibbonStrands& strands, std::size_t segment, glm::vec3 point,
+                bool endless) {
+    const glm::vec4 a = strands.points[strands.first[segment]],
+                    b = strands.points[strands.first[segment] + 1];
+    const glm::vec3 v = glm::vec3(b) - glm::vec3(a), w = point - glm::vec3(a);
+    const float along = glm::dot(w, v) / glm::dot(v, v),
+                u = std::clamp(along, 0.0f, 1.0f);
+    const float radius = a.w + u * (b.w - a.w);
+    return glm::length(w - (endless ? along : u) * v) <= kWithin * radius;
+}
+
+/// The same of a strand, around one of its segments.
+bool liesWithinStrand(const RibbonStrands& strands, std::size_t segment,
+                      glm::vec3 point) {
+    if (liesWithin(strands, segment, point, true)) return true;
+    std::size_t left = segment, right = segment;
+    for (int k = 0; k < kAround; ++k) {
+        if (strands.joinsLeft(left) && liesWithin(strands, --left, point, false))
+            return true;
+        if (strands.joinsRight(right) && liesWithin(strands, ++right, point, false))
+            return true;
+    }
+    return false;
+}
+
 /// Is a segment crossed there? Not before the ray's true start, `back` on its way, and
 /// not where that start lies within the strand itself.
 bool isCrossed(const RibbonStrands& strands, std::size_t segment, const Ray& ray,
                Passing at, float back) {
     if (beyondEnd(strands, segment, at.u) || !(at.t > back)) return false;
-    const glm::vec4 a = strands.points[strands.first[segment]],
-                    b = strands.points[strands.first[segment] + 1];
-    const float radius = a.w + at.u * (b.w - a.w);
-    if (at.t - back > 2.0f * radius) return true;
-    const glm::vec3 v = glm::vec3(b) - glm::vec3(a),
-                    w = ray.origin + back * ray.direction - glm::vec3(a);
-    const glm::vec3 apart = w - glm::dot(w, v) / glm::dot(v, v) * v;
-    return glm::length(apart) > kWithin * radius;
+    const float a = strands.points[strands.first[segment]].w,
+                b = strands.points[strands.first[segment] + 1].w;
+    return at.t - back > 2.0f * (a + at.u * (b - a)) ||
+           !liesWithinStrand(strands, segment, ray.origin + back * ray.direction);
 }
 
 }  // namespace

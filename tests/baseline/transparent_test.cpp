@@ -424,6 +424,25 @@ TEST_CASE("a strand shadows all that lies before it, but not what lies within it
     }
 }
 
+TEST_CASE("a bend of segments shorter than its strand is wide does not shadow itself",
+          "[baseline]") {
+    // A quarter of a circle of radius 1 in steps of a fifth of the width.
+    Strands hair;
+    std::vector<glm::vec3> line;
+    for (int i = 0; i <= 78; ++i)
+        line.emplace_back(std::sin(0.02 * i), 1.0f, std::cos(0.02 * i));
+    hair.add(line);
+    const EmbreeReference truth = build({hair.view()});
+    const glm::dvec3 middle(std::sin(0.77), 1, std::cos(0.77)),
+        out(std::sin(0.77), 0, std::cos(0.77));
+    for (double x = -0.048; x <= 0.048; x += 0.004) {
+        for (double slant = 0.5; slant <= 2; slant += 0.25) {
+            const glm::dvec3 d(2 * out.z, 2 / slant, -2 * out.x);
+            CHECK(truth.visibility(middle + x * out, d).x == 1.0f);
+        }
+    }
+}
+
 TEST_CASE("sheets and bodies behind a ray's start do not count, however wide strands are",
           "[baseline]") {
     Strands hair;
