@@ -27,7 +27,29 @@ struct ShadowContext : RTCIntersectContext {
     /// Per ray and channel; without colour all three are the same.
     glm::vec3 visible[kStreamRays];
     float reach[kStreamRays];  ///< where rays end; Embree shortens its own to the hit
+    /// Rays come from so far behind their true start: Embree drops hits on a strand that
+    /// are nearer to a ray's origin than the strand is wide.
+    float back = 0.0f;
     bool color = false;
+    /// Per ray: the latest crossings on a border of a triangle that were paid for. The
+    /// triangles on the other side of the border, or around the corner, meet the ray at
+    /// the same place: it is crossed once.
+    struct Border {
+        const void* mesh = nullptr;
+        float t = 0.0f;
+    };
+    static constexpr unsigned kBorders = 4;
+    Border borders[kStreamRays][kBorders];
+    unsigned borderCount[kStreamRays] = {};
+
+    /// Makes the ray new.
+    void begin(unsigned ray, float length) noexcept {
+        visible[ray] = glm::vec3(1.0f);
+        reach[ray] = length;
+        borderCount[ray] = 0;
+    }
+    /// Was a crossing of this mesh's borders here paid for? If not, from now on it is.
+    bool paidBorder(unsigned ray, const void* mesh, float t) noexcept;
 
     /// What is left to a ray after a crossing; false: nothing worth tracing on.
     bool pay(unsigned ray, glm::vec3 opacity) noexcept {
@@ -70,11 +92,13 @@ struct RibbonStrands {
 };
 
 /// Occlusion filters, for single rays, packets and streams: every crossing is
-/// paid for. A strand that a ray meets in several consecutive segments, as around a
-/// joint, is crossed once.
+/// paid for, on a border between triangles of a mesh once. A strand that a ray meets in
+/// several consecutive segments, as around a joint, is crossed once.
 void payMesh(const RTCFilterFunctionNArguments* args);
 void payStrands(const RTCFilterFunctionNArguments* args);
-/// Intersection filter: the holes of a textured mesh are not there.
+/// Intersection filters: the holes of a textured mesh are not there, nor what Embree puts
+/// round the ends of strands.
 void passHoles(const RTCFilterFunctionNArguments* args);
+void passEnds(const RTCFilterFunctionNArguments* args);
 
 }  // namespace mtsm::baseline

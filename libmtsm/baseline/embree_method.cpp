@@ -110,38 +110,57 @@ Result<std::unique_ptr<Method>> build(const MethodScene& scene,
     return std::unique_ptr<Method>(new EmbreeMethod(std::move(*casters)));
 }
 
-}  // namespace
-
-std::vector<SamplePattern> sharedPatterns(const Receivers& at, std::uint32_t samples,
-                                          std::uint32_t seed) {
-    // Of a sequence the first kMaxSamples are well spread; then it takes another.
-    const std::size_t perSequence =
-        std::max(std::size_t(1), std::size_t(kMaxSamples) / samples);
-    std::vector<SamplePattern> patterns(at.count);
+/// Where runs of points that share a pattern begin, and the end of the last.
+std::vector<std::size_t> sharingRuns(const Receivers& at) {
+    const auto isSingle = [&](std::size_t p) {
+        return at.first[p + 1] - at.first[p] == 1;
+    };
+    std::vector<std::size_t> runs{0};
     for (std::size_t p = 0; p < at.pixels;) {
         std::size_t q = p + 1;
-        const auto isSingle = [&](std::size_t i) {
-            return at.first[i + 1] - at.first[i] == 1;
-        };
         if (isSingle(p)) {
             while (q < at.pixels && q - p < kSharingPixels && isSingle(q))
                 ++q;
         }
-        // Who takes which samples is shuffled: else the place in the pixel would go with
-        // the place on the light, and what both move (an edge) would be seen unevenly.
-        const std::size_t begin = at.first[p], count = at.first[q] - begin;
-        const std::uint64_t key = base::pointKey(at.points[begin], seed);
-        std::vector<std::size_t> place(count);
-        std::iota(place.begin(), place.end(), std::size_t(0));
-        for (std::size_t k = count; k > 1; --k)
-            std::swap(place[k - 1], place[base::mix(key + k) % k]);
-        for (std::size_t k = 0; k < count; ++k) {
-            const std::size_t sequence = place[k] / perSequence;
-            patterns[begin + k].first = std::uint32_t(place[k] % perSequence) * samples;
-            patterns[begin + k].key = sequence == 0 ? key : base::mix(key ^ sequence);
-        }
+        runs.push_back(at.first[q]);
         p = q;
     }
+    return runs;
+}
+
+/// The patterns of points [begin, end), a run. `place` is room to work in.
+void shareSamples(const Receivers& at, std::size_t begin, std::size_t end,
+                  std::uint32_t samples, std::uint32_t seed,
+                  std::vector<std::uint32_t>& place, SamplePattern* patterns) {
+    // Of a sequence the first kMaxSamples are well spread; then it takes another.
+    const std::uint32_t perSequence = std::max(1u, std::uint32_t(kMaxSamples) / samples);
+    // Who takes which samples is shuffled: else the place in the pixel would go with
+    // the place on the light, and what both move (an edge) would be seen unevenly.
+    const std::uint64_t key = base::pointKey(at.points[begin], seed);
+    place.resize(end - begin);
+    std::iota(place.begin(), place.end(), 0u);
+    for (std::size_t k = place.size(); k > 1; --k)
+        std::swap(place[k - 1], place[base::mix(key + k) % k]);
+    for (std::size_t k = 0; k < place.size(); ++k) {
+        const std::uint32_t sequence = place[k] / perSequence;
+        patterns[begin + k].first = place[k] % perSequence * samples;
+        patterns[begin + k].key = sequence == 0 ? key : base::mix(key ^ sequence);
+    }
+}
+
+}  // namespace
+
+std::vector<SamplePattern> sharedPatterns(const Receivers& at, std::uint32_t samples,
+                                          std::uint32_t seed) {
+    const std::vector<std::size_t> runs = sharingRuns(at);
+    std::vector<SamplePattern> patterns(at.count);
+    base::parallelRanges(std::size_t(0), runs.size() - 1, std::size_t(64),
+                         [&](std::size_t begin, std::size_t end) {
+                             std::vector<std::uint32_t> place;
+                             for (std::size_t r = begin; r < end; ++r)
+                                 shareSamples(at, runs[r], runs[r + 1], samples, seed,
+                                              place, patterns.data());
+                         });
     return patterns;
 }
 

@@ -15,7 +15,7 @@
 namespace mtsm::baseline {
 namespace {
 
-constexpr double kOffStrand = 1e-4;  // of the casters' size
+constexpr double kOffStrand = 0.1;  // of its width
 
 /// Bits of x and y in turn: cells of any size hold pixels that follow each other.
 std::uint64_t zOrder(std::uint32_t x, std::uint32_t y) {
@@ -86,7 +86,7 @@ class Viewer {
             away = glm::distance(hit->position, camera_.position);
             seen = Seen{hit->position, hit->normal, hit->position, true};
             if (hit->strand) {
-                seen->start += kOffStrand * size_ * hit->normal;
+                seen->start += kOffStrand * hit->width * hit->normal;
                 seen->normal = glm::dvec3(0.0);
             }
         }

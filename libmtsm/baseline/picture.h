@@ -71,7 +71,7 @@ struct Picture {
 
 /// What a camera sees of casters and, if not null, of receivers that cast nothing. On
 /// meshes the normal is the triangle's, turned to the camera. On strands there is none,
-/// and `starts` lies 1e-4 of the casters' size off it. In volumes points lie where light
+/// and `starts` lies a tenth of its width off it. In volumes points lie where light
 /// from the camera would scatter, without a normal. The same picture for any number of
 /// threads. `progress` is called with the share that is done.
 [[nodiscard]] Picture takePicture(const Camera& camera, const EmbreeReference& casters,

@@ -10,7 +10,9 @@
 #include <glm/matrix.hpp>
 #include <glm/vec4.hpp>
 #include <limits>
+#include <new>
 #include <numeric>
+#include <stdexcept>
 #include <vector>
 
 #include "base/finite.h"
@@ -55,25 +57,34 @@ Error noMemory(const char* kind, std::size_t count, const char* parts) {
 
 constexpr std::size_t kPacketRays = 16;
 
-/// Up to 16 rays of a stream as a packet. That is faster than a stream where origins
-/// differ or frustums are of no use.
+/// Up to 16 rays of a stream as a packet, but those that have ended. That is faster than
+/// a stream where origins differ or frustums are of no use.
 void tracePacket(RTCScene scene, const RayStream& s, std::size_t first,
                  ShadowContext& context, float* reach) {
     const std::size_t n = std::min(kPacketRays, s.count - first);
     alignas(64) RTCRay16 p{};
     alignas(64) int valid[kPacketRays] = {};
-    std::fill_n(valid, n, -1);
-    std::copy_n(s.orgX + first, n, p.org_x);
-    std::copy_n(s.orgY + first, n, p.org_y);
-    std::copy_n(s.orgZ + first, n, p.org_z);
+    const float back = context.back;
+    bool any = false;
+    for (std::size_t k = 0; k < n; ++k) {
+        const std::size_t i = first + k;
+        valid[k] = reach[i] < 0.0f ? 0 : -1;
+        any = any || valid[k];
+        p.org_x[k] = s.orgX[i] - back * s.dirX[i];
+        p.org_y[k] = s.orgY[i] - back * s.dirY[i];
+        p.org_z[k] = s.orgZ[i] - back * s.dirZ[i];
+    }
+    if (!any) return;
     std::copy_n(s.dirX + first, n, p.dir_x);
     std::copy_n(s.dirY + first, n, p.dir_y);
     std::copy_n(s.dirZ + first, n, p.dir_z);
-    std::copy_n(s.length + first, n, p.tfar);
+    for (std::size_t k = 0; k < n; ++k)
+        p.tfar[k] = s.length[first + k] + back;
     std::fill_n(p.mask, n, ~0u);
     std::iota(p.id, p.id + n, unsigned(first));
     rtcOccluded16(valid, scene, &context, &p);
-    std::copy_n(p.tfar, n, reach + first);
+    for (std::size_t k = 0; k < n; ++k)
+        if (valid[k]) reach[first + k] = p.tfar[k];
 }
 
 /// What a sample counts.
@@ -87,17 +98,33 @@ double weightOf(const light::LightSampler& sampler, const LightLook& look,
     return std::max(0.0, glm::dot(s.delta, look.normal) / reach) * s.weight;
 }
 
+/// Where a ray meets the plane of a triangle with a corner at 0 and sides b and c, in
+/// double, moved into the triangle; nothing where it goes along the plane.
+std::optional<glm::dvec2> inTriangle(glm::dvec3 from, glm::dvec3 direction, glm::dvec3 b,
+                                     glm::dvec3 c) {
+    const glm::dvec3 across = glm::cross(direction, c), other = glm::cross(from, b);
+    const double scale = glm::dot(b, across);
+    const glm::dvec2 at(glm::dot(from, across) / scale,
+                        glm::dot(direction, other) / scale);
+    if (!std::isfinite(at.x) || !std::isfinite(at.y)) return std::nullopt;
+    const double u = std::clamp(at.x, 0.0, 1.0);
+    return glm::dvec2(u, std::clamp(at.y, 0.0, 1.0 - u));
+}
+
 }  // namespace
 
 struct EmbreeReference::Scene {
     Memory memory;  // outlives the device
     RTCDevice device = nullptr;
-    RTCScene scene = nullptr;
+    /// Casters that end a ray at once, for coherent streams, and those at which it pays.
+    RTCScene solid = nullptr, paying = nullptr;
+    float back = 0.0f;  // the largest width of a strand; see ShadowContext
     std::vector<std::unique_ptr<TranslucentMesh>> meshes;
     std::vector<std::unique_ptr<RibbonStrands>> strands;
-    std::vector<bool> isStrands;  // [geometries]
+    std::vector<bool> isStrands;  // [geometries of `paying`]
+    bool hasSolid = false;
     std::vector<VolumeDepth> volumes;
-    glm::dvec3 origin{0.0};  // what Embree's floats are relative to: a caster's vertex
+    glm::dvec3 origin{0.0};  // what Embree's floats are relative to
     bool hasOrigin = false;
     glm::dvec3 low{std::numeric_limits<double>::infinity()};
     glm::dvec3 high{-std::numeric_limits<double>::infinity()};
@@ -106,15 +133,19 @@ struct EmbreeReference::Scene {
     Scene(const Scene&) = delete;
     Scene& operator=(const Scene&) = delete;
     ~Scene() {
-        if (scene) rtcReleaseScene(scene);
+        if (solid) rtcReleaseScene(solid);
+        if (paying) rtcReleaseScene(paying);
         if (device) rtcReleaseDevice(device);
     }
 
     Status add(const MeshView& mesh);
     Status add(const StrandsView& view);
     Status add(const VolumeView& volume);
+    void reach(glm::dvec3 world);
     glm::vec3 place(glm::dvec3 world);
-    void attach(RTCGeometry geometry, bool strands);
+    void attach(RTCGeometry geometry, bool pays, bool strands);
+    void locate(RTCScene scene, const RTCHit& met, glm::dvec3 from, glm::dvec3 direction,
+                Hit& hit) const noexcept;
     [[nodiscard]] glm::vec3 visibility(glm::dvec3 from, glm::dvec3 delta, bool endless,
                                        bool color) const noexcept;
     void trace(RayStream& stream, ShadowContext& context) const noexcept;
@@ -130,22 +161,61 @@ struct EmbreeReference::Scene {
                  const ReferenceOptions& options, const Out& out) const noexcept;
 };
 
-/// Takes a vertex into the bounds and to Embree's space.
+/// Takes a vertex into the bounds.
+void EmbreeReference::Scene::reach(glm::dvec3 world) {
+    if (!base::isFinite(world)) return;
+    low = glm::min(low, world);
+    high = glm::max(high, world);
+}
+
+/// Takes a vertex, already within the bounds, to Embree's space: around the middle of the
+/// bounds as they are when the first one comes.
 glm::vec3 EmbreeReference::Scene::place(glm::dvec3 world) {
-    if (base::isFinite(world)) {
-        if (!hasOrigin) origin = world;
+    if (!hasOrigin && low.x <= high.x) {
+        origin = 0.5 * low + 0.5 * high;
         hasOrigin = true;
-        low = glm::min(low, world);
-        high = glm::max(high, world);
     }
     return glm::vec3(world - origin);
 }
 
-void EmbreeReference::Scene::attach(RTCGeometry geometry, bool asStrands) {
+void EmbreeReference::Scene::attach(RTCGeometry geometry, bool pays, bool asStrands) {
     rtcCommitGeometry(geometry);
-    rtcAttachGeometry(scene, geometry);
+    rtcAttachGeometry(pays ? paying : solid, geometry);
     rtcReleaseGeometry(geometry);
-    isStrands.push_back(asStrands);
+    if (pays)
+        isStrands.push_back(asStrands);
+    else
+        hasSolid = true;
+}
+
+/// Position and width of a hit, relative to the origin, from the triangle or strand
+/// itself: along a ray from afar a float is too coarse.
+void EmbreeReference::Scene::locate(RTCScene scene, const RTCHit& met, glm::dvec3 from,
+                                    glm::dvec3 direction, Hit& hit) const noexcept {
+    const RTCGeometry geometry = rtcGetGeometry(scene, met.geomID);
+    if (hit.strand) {
+        const auto& r =
+            *static_cast<const RibbonStrands*>(rtcGetGeometryUserData(geometry));
+        const glm::dvec4 a = r.points[r.first[met.primID]],
+                         b = r.points[r.first[met.primID] + 1];
+        const glm::dvec4 axis = glm::mix(a, b, double(met.u));
+        hit.position = from + glm::dot(glm::dvec3(axis) - from, direction) * direction;
+        hit.width = 2.0 * axis.w;
+        return;
+    }
+    const auto* vertices = static_cast<const float*>(
+        rtcGetGeometryBufferData(geometry, RTC_BUFFER_TYPE_VERTEX, 0));
+    const auto* corner = static_cast<const std::uint32_t*>(rtcGetGeometryBufferData(
+                             geometry, RTC_BUFFER_TYPE_INDEX, 0)) +
+                         3 * std::size_t(met.primID);
+    const auto vertex = [&](int i) {
+        const float* v = vertices + 3 * std::size_t(corner[i]);
+        return glm::dvec3(v[0], v[1], v[2]);
+    };
+    const glm::dvec3 a = vertex(0), b = vertex(1) - a, c = vertex(2) - a;
+    const glm::dvec2 place =
+        inTriangle(from - a, direction, b, c).value_or(glm::dvec2(met.u, met.v));
+    hit.position = a + place.x * b + place.y * c;
 }
 
 Status EmbreeReference::Scene::add(const MeshView& mesh) {
@@ -162,14 +232,22 @@ Status EmbreeReference::Scene::add(const MeshView& mesh) {
         rtcReleaseGeometry(geometry);
         return noMemory("a mesh", mesh.triangleCount, "triangles");
     }
+    std::vector<bool> used(mesh.vertexCount, false);
+    for (std::size_t i = 0; i < 3 * mesh.triangleCount; ++i)
+        used[mesh.indices[i]] = true;
+    const auto world = [&](std::size_t i) {
+        return glm::dvec3(mesh.worldFromObject * glm::dvec4(mesh.positions[i], 1.0));
+    };
+    for (std::size_t i = 0; i < mesh.vertexCount; ++i)
+        if (used[i]) reach(world(i));
     for (std::size_t i = 0; i < mesh.vertexCount; ++i) {
-        const glm::vec3 p =
-            place(mesh.worldFromObject * glm::dvec4(mesh.positions[i], 1.0));
+        const glm::vec3 p = used[i] ? place(world(i)) : glm::vec3(0.0f);
         for (int c = 0; c < 3; ++c)
             vertices[3 * i + std::size_t(c)] = p[c];
     }
     std::copy_n(mesh.indices, 3 * mesh.triangleCount, indices);
-    if (textured ? mesh.texture->translucent() : mesh.opacity < 1.0f) {
+    const bool pays = textured ? mesh.texture->translucent() : mesh.opacity < 1.0f;
+    if (pays) {
         auto translucent = std::make_unique<TranslucentMesh>();
         translucent->opacity = mesh.opacity;
         translucent->channels = channelOpacity(mesh.opacity, mesh.tint);
@@ -183,7 +261,7 @@ Status EmbreeReference::Scene::add(const MeshView& mesh) {
         rtcSetGeometryOccludedFilterFunction(geometry, payMesh);
         meshes.push_back(std::move(translucent));
     }
-    attach(geometry, false);
+    attach(geometry, pays, false);
     return {};
 }
 
@@ -207,6 +285,7 @@ Status EmbreeReference::Scene::add(const StrandsView& view) {
                 joined = false;
                 continue;
             }
+            reach(world);
             const glm::vec3 p = place(world);
             if (joined && glm::vec3(r.points.back()) == p) continue;
             if (joined) r.first.push_back(std::uint32_t(r.points.size() - 1));
@@ -217,6 +296,8 @@ Status EmbreeReference::Scene::add(const StrandsView& view) {
     }
     r.segments = r.first.size();
     if (r.segments == 0) return {};
+    for (const glm::vec4& p : r.points)
+        back = std::max(back, 2.0f * p.w);
     r.first.resize(r.segments + 3);  // Embree reads four at a time
     RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_FLAT_LINEAR_CURVE);
     rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT4,
@@ -225,8 +306,9 @@ Status EmbreeReference::Scene::add(const StrandsView& view) {
                                r.first.data(), 0, sizeof(std::uint32_t), r.segments);
     rtcSetGeometryUserData(geometry, ribbons.get());
     rtcSetGeometryOccludedFilterFunction(geometry, payStrands);
+    rtcSetGeometryIntersectFilterFunction(geometry, passEnds);
     strands.push_back(std::move(ribbons));
-    attach(geometry, true);
+    attach(geometry, true, true);
     return {};
 }
 
@@ -237,7 +319,9 @@ Status EmbreeReference::Scene::add(const VolumeView& volume) {
             const glm::dvec3 at(corner & 1, corner >> 1 & 1, corner >> 2);
             const glm::dvec3 index =
                 glm::dvec3(volume.blocks[i]) - 0.5 + double(VolumeView::kBlockSide) * at;
-            (void)place(volume.worldFromIndex * glm::dvec4(index, 1.0));
+            const glm::dvec3 world = volume.worldFromIndex * glm::dvec4(index, 1.0);
+            reach(world);
+            (void)place(world);
         }
     }
     volumes.emplace_back(volume);
@@ -261,9 +345,16 @@ glm::vec3 EmbreeReference::Scene::visibility(glm::dvec3 from, glm::dvec3 delta,
     ray.dir_z = float(delta.z / length);
     ray.tfar = endless ? std::numeric_limits<float>::infinity() : float(length);
     ray.mask = ~0u;
-    context.visible[0] = glm::vec3(1.0f);
-    context.reach[0] = ray.tfar;
-    rtcOccluded1(scene, &context, &ray);
+    context.begin(0, ray.tfar);
+    if (hasSolid) rtcOccluded1(solid, &context, &ray);
+    if (!isStrands.empty() && ray.tfar >= 0.0f) {
+        context.back = back;
+        ray.org_x -= back * ray.dir_x;
+        ray.org_y -= back * ray.dir_y;
+        ray.org_z -= back * ray.dir_z;
+        ray.tfar += back;
+        rtcOccluded1(paying, &context, &ray);
+    }
     if (ray.tfar < 0.0f) return glm::vec3(0.0f);
     double depth = 0.0;
     for (const VolumeDepth& volume : volumes)
@@ -278,18 +369,24 @@ void EmbreeReference::Scene::trace(RayStream& s, ShadowContext& context) const n
     for (std::size_t i = 0; i < s.count; ++i) {
         mask[i] = ~0u;
         id[i] = std::uint32_t(i);
-        reach[i] = context.reach[i] = s.length[i];
-        context.visible[i] = glm::vec3(1.0f);
+        reach[i] = s.length[i];
+        context.begin(unsigned(i), s.length[i]);
     }
-    const bool coherent = context.flags == RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
-    if (!coherent || (s.count <= kPacketRays && s.owner[0] != s.owner[s.count - 1])) {
-        for (std::size_t i = 0; i < s.count; i += kPacketRays)
-            tracePacket(scene, s, i, context, reach);
-    } else {
+    context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+    context.back = 0.0f;
+    if (hasSolid && s.count <= kPacketRays && s.owner[0] != s.owner[s.count - 1]) {
+        tracePacket(solid, s, 0, context, reach);
+    } else if (hasSolid) {
         RTCRayNp rays{s.orgX, s.orgY, s.orgZ, zero, s.dirX, s.dirY,
                       s.dirZ, zero,   reach,  mask, id,     flags};
-        rtcOccludedNp(scene, &context, &rays, unsigned(s.count));
+        rtcOccludedNp(solid, &context, &rays, unsigned(s.count));
     }
+    // Coherent traversal may find a hit twice (seen where the tree is a single leaf): it
+    // is for casters that end a ray at once.
+    context.flags = RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
+    context.back = back;
+    for (std::size_t i = 0; !isStrands.empty() && i < s.count; i += kPacketRays)
+        tracePacket(paying, s, i, context, reach);
     for (std::size_t i = 0; i < s.count; ++i) {
         if (reach[i] < 0.0f)
             context.visible[i] = glm::vec3(0.0f);
@@ -315,14 +412,8 @@ void EmbreeReference::Scene::look(const light::LightSampler& sampler,
                                   const std::uint32_t* order, std::size_t count,
                                   LightSeen* seen, bool color,
                                   const ReferenceOptions& options) const noexcept {
-    const double offset = options.offset * glm::length(high - low);
     ShadowContext context;
     rtcInitIntersectContext(&context);
-    // Coherent traversal may find a hit twice (seen where the tree is a single leaf): it
-    // is for casters that end a ray at once.
-    context.flags = meshes.empty() && strands.empty()
-                        ? RTC_INTERSECT_CONTEXT_FLAG_COHERENT
-                        : RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
     context.color = color;
     RayStream stream;
     const auto flush = [&] {
@@ -339,7 +430,12 @@ void EmbreeReference::Scene::look(const light::LightSampler& sampler,
         stream.count = 0;
     };
     for (std::size_t l = 0; l < lookCount; ++l) {
-        const PointRays rays(sampler, looks[l].point, looks[l].normal, origin, offset);
+        const bool hasNormal = looks[l].normal != glm::dvec3(0.0);
+        const PointRays rays(
+            sampler, looks[l].point, looks[l].normal, origin,
+            rayOffset(looks[l].point,
+                      hasNormal ? looks[l].normal : sampler.towards(looks[l].point), low,
+                      high, options.offset));
         const base::SquareSequence sequence(looks[l].key);
         for (std::size_t done = 0; done < count;) {
             std::uint32_t index[kStreamRays];
@@ -410,27 +506,37 @@ EmbreeReference::EmbreeReference(EmbreeReference&&) noexcept = default;
 EmbreeReference& EmbreeReference::operator=(EmbreeReference&&) noexcept = default;
 EmbreeReference::~EmbreeReference() = default;
 
-Result<EmbreeReference> EmbreeReference::build(CasterSource& casters, bool robust) {
+Result<EmbreeReference> EmbreeReference::build(CasterSource& casters, bool robust) try {
     auto scene = std::make_unique<Scene>();
     scene->device = rtcNewDevice(nullptr);
     if (!scene->device)
         return Error{ErrorCode::unsupported, "Embree cannot start on this machine"};
     rtcSetDeviceMemoryMonitorFunction(scene->device, countMemory, &scene->memory);
-    scene->scene = rtcNewScene(scene->device);
     // Measured (tests/bench/NOTES.md): HIGH gains nothing, and its spatial splits would
     // count a transparent triangle twice; COMPACT costs a fifth, and together with ROBUST
     // it does not come back.
-    rtcSetSceneBuildQuality(scene->scene, RTC_BUILD_QUALITY_MEDIUM);
-    rtcSetSceneFlags(scene->scene,
-                     robust ? RTC_SCENE_FLAG_ROBUST : RTC_SCENE_FLAG_NONE);
+    for (RTCScene* part : {&scene->solid, &scene->paying}) {
+        *part = rtcNewScene(scene->device);
+        rtcSetSceneBuildQuality(*part, RTC_BUILD_QUALITY_MEDIUM);
+        rtcSetSceneFlags(*part, robust ? RTC_SCENE_FLAG_ROBUST : RTC_SCENE_FLAG_NONE);
+    }
     const Status read = casters.visit([&](const CasterView& caster) {
         return std::visit([&](const auto& view) { return scene->add(view); }, caster);
     });
     if (!read) return read.error();
-    rtcCommitScene(scene->scene);
-    if (rtcGetDeviceError(scene->device) != RTC_ERROR_NONE)
+    rtcCommitScene(scene->solid);
+    rtcCommitScene(scene->paying);
+    const RTCError error = rtcGetDeviceError(scene->device);
+    if (error == RTC_ERROR_OUT_OF_MEMORY)
+        return Error{ErrorCode::tooLarge,
+                     "Embree has no memory for a tree over the casters"};
+    if (error != RTC_ERROR_NONE)
         return Error{ErrorCode::badFile, "Embree could not build a scene of the casters"};
     return EmbreeReference(std::move(scene));
+} catch (const std::bad_alloc&) {
+    return Error{ErrorCode::tooLarge, "there is no memory for a copy of the casters"};
+} catch (const std::length_error&) {
+    return Error{ErrorCode::tooLarge, "there is no memory for a copy of the casters"};
 }
 
 glm::dvec3 EmbreeReference::boundsMin() const noexcept {
@@ -484,11 +590,17 @@ std::optional<EmbreeReference::Hit> EmbreeReference::firstHit(
     ray.ray.tfar = std::numeric_limits<float>::infinity();
     ray.ray.mask = ~0u;
     ray.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-    rtcIntersect1(scene_->scene, &context, &ray);
+    rtcIntersect1(scene_->solid, &context, &ray);
+    const RTCHit behind = ray.hit;
+    ray.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+    rtcIntersect1(scene_->paying, &context, &ray);
+    const bool pays = ray.hit.geomID != RTC_INVALID_GEOMETRY_ID;
+    if (!pays) ray.hit = behind;
     if (ray.hit.geomID == RTC_INVALID_GEOMETRY_ID) return std::nullopt;
     Hit hit;
-    hit.position = origin + double(ray.ray.tfar) * d;
-    hit.strand = scene_->isStrands[ray.hit.geomID];
+    hit.strand = pays && scene_->isStrands[ray.hit.geomID];
+    scene_->locate(pays ? scene_->paying : scene_->solid, ray.hit, o, d, hit);
+    hit.position += scene_->origin;
     // Of a strand Embree tells the direction along it.
     const glm::dvec3 n =
         glm::normalize(glm::dvec3(ray.hit.Ng_x, ray.hit.Ng_y, ray.hit.Ng_z));

@@ -11,8 +11,8 @@
 // What a ray crosses multiplies up. Meshes: their opacity, or their texture's at the hit,
 // magnified. Strands: ribbons that face the ray, as Embree's flat linear curves, with
 // flat ends and round joints; a strand that is met in consecutive segments is crossed
-// once. As Embree has it, a strand does not shadow what lies within its width in front of
-// it along a ray: so a point on a strand is not shadowed by that place of the strand.
+// once. A strand does not shadow what lies within it, taken as round: so a point on a
+// strand is not shadowed by that place of the strand.
 // Volumes: exp(-optical depth), exact for voxels of constant density.
 #pragma once
 #include <cstddef>
@@ -34,9 +34,10 @@ struct ReferenceOptions {
     int samples = 4096;  ///< 1..kMaxSamples; the truth takes 4096
     std::uint32_t seed = 0x7472u;
     Weight weight = Weight::uniform;
-    /// Rays start this far from the receiver, along its normal if there is one, as a
-    /// share of the diagonal of the casters' bounds.
-    double offset = 1e-5;
+    /// Rays start off the receiver by this share of how far the casters reach from it
+    /// along its normal, or along the way to the light if it has none (rayOffset()): 64
+    /// units of float there. So a wide floor does not lift the rays off itself.
+    double offset = 0x1p-18;
 };
 
 /// A point that looks at a light: at samples first + order[0..count) of its sequence.
@@ -61,13 +62,15 @@ struct LightSeen {
 class EmbreeReference {
   public:
     /// Holds a copy of all casters. Not `robust`, rays may slip between two triangles:
-    /// faster, not for a truth. Errors: what visit() returns, badFile if Embree fails.
+    /// faster, not for a truth. Errors: what visit() returns, tooLarge if memory runs
+    /// out, badFile if Embree fails.
     static Result<EmbreeReference> build(CasterSource& casters, bool robust = true);
     EmbreeReference(EmbreeReference&&) noexcept;
     EmbreeReference& operator=(EmbreeReference&&) noexcept;
     ~EmbreeReference();
 
-    /// Bounds of the casters, world; of strands without their width.
+    /// Bounds of the casters, world: of vertices that triangles use, of strands without
+    /// their width.
     [[nodiscard]] glm::dvec3 boundsMin() const noexcept;
     [[nodiscard]] glm::dvec3 boundsMax() const noexcept;
     [[nodiscard]] bool hasVolumes() const noexcept;
@@ -109,6 +112,7 @@ class EmbreeReference {
         /// as far as that is possible towards the ray's origin.
         glm::dvec3 normal{0.0};
         bool strand = false;
+        double width = 0.0;  ///< of the strand there
     };
     /// `direction` need not be a unit vector.
     [[nodiscard]] std::optional<Hit> firstHit(glm::dvec3 origin,

@@ -67,6 +67,14 @@ std::vector<std::uint32_t> neighbourOrder(std::uint32_t begin, std::uint32_t end
     return order;
 }
 
+double rayOffset(glm::dvec3 point, glm::dvec3 axis, glm::dvec3 low, glm::dvec3 high,
+                 double share) noexcept {
+    const double length = glm::length(axis);
+    if (!(length > 0.0) || !(low.x <= high.x)) return 0.0;  // no axis, no casters
+    const glm::dvec3 reach = glm::max(glm::abs(point - low), glm::abs(high - point));
+    return share * glm::dot(glm::abs(axis) / length, reach);
+}
+
 PointRays::PointRays(const light::LightSampler& sampler, glm::dvec3 point,
                      glm::dvec3 normal, glm::dvec3 sceneOrigin, double offset) noexcept
     : normal_(normal), offset_(float(offset)), hasNormal_(normal != glm::dvec3(0.0)) {
@@ -111,7 +119,7 @@ void PointRays::append(const base::SquareSequence& sequence, const std::uint32_t
         const float y = base_.y + u[k] * x_.y + v[k] * y_.y + w[k] * z_.y;
         const float z = base_.z + u[k] * x_.z + v[k] * y_.z + w[k] * z_.z;
         const float far = std::sqrt(x * x + y * y + z * z);
-        const float inverse = 1.0f / far;
+        const float inverse = far > 0.0f ? 1.0f / far : 0.0f;
         above[k] = normal_.x * x + normal_.y * y + normal_.z * z + lift_;
         dx[k] = x * inverse;
         dy[k] = y * inverse;
@@ -119,9 +127,10 @@ void PointRays::append(const base::SquareSequence& sequence, const std::uint32_t
         length[k] = far;
     }
     for (std::size_t k = 0; k < count; ++k) {
-        if (hasNormal_ ? !(above[k] > 0.0f) : !(length[k] > 0.0f)) continue;
+        if (hasNormal_ && !(above[k] > 0.0f)) continue;
         const std::size_t to = s.count++;
-        s.dirX[to] = dx[k];
+        // A sample where the ray starts has no direction: any will do, it is clear.
+        s.dirX[to] = length[k] > 0.0f ? dx[k] : 1.0f;
         s.dirY[to] = dy[k];
         s.dirZ[to] = dz[k];
         s.length[to] = length[k];

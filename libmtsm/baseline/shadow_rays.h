@@ -34,6 +34,13 @@ struct RayStream {
 /// place: the first 4096 points of every base::SquareSequence share their cells.
 std::vector<std::uint32_t> neighbourOrder(std::uint32_t begin, std::uint32_t end);
 
+/// How far off `point`, along `axis`, rays start: `share` of how far the box reaches from
+/// there in each coordinate, as far as that moves along the axis. Rounding of vertices,
+/// of the ray and of a triangle's plane, which is as large as the triangle, stays below
+/// 16 * 2^-24 of it.
+[[nodiscard]] double rayOffset(glm::dvec3 point, glm::dvec3 axis, glm::dvec3 low,
+                               glm::dvec3 high, double share) noexcept;
+
 /// The rays from one point to a light.
 class PointRays {
   public:
@@ -42,7 +49,7 @@ class PointRays {
     PointRays(const light::LightSampler& sampler, glm::dvec3 point, glm::dvec3 normal,
               glm::dvec3 sceneOrigin, double offset) noexcept;
     /// Appends the rays to samples index[0..count), count <= room(), but those below the
-    /// horizon.
+    /// horizon. A ray to a sample at its start has the length 0.
     void append(const base::SquareSequence& sequence, const std::uint32_t* index,
                 std::size_t count, std::uint32_t owner, RayStream& stream) const noexcept;
 

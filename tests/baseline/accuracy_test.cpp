@@ -257,3 +257,107 @@ TEST_CASE("a body far from the origin casts the same shadow", "[baseline][extrem
     CHECK(std::abs(sum / double(p.position.size())) < 0.003);
     CHECK(near->map.layerCount() == far->map.layerCount());
 }
+
+namespace {
+
+/// A ground of this half size through the origin, its edges in y raised by `slant` per
+/// unit of x, and a box of side 1 that hovers .2 above it.
+struct HoveringBox {
+    Mesh ground, box;
+
+    explicit HoveringBox(float half, float slant = 0.0f) {
+        ground = quad(-half, half, -half, half, 0);
+        for (glm::vec3& p : ground.positions)
+            p.y = slant * p.x;
+        for (const float y : {0.2f, 1.2f}) {
+            const Mesh side = quad(-0.5f, 0.5f, -0.5f, 0.5f, y);
+            const auto first = std::uint32_t(box.positions.size());
+            box.positions.insert(box.positions.end(), side.positions.begin(),
+                                 side.positions.end());
+            for (const std::uint32_t i : side.indices)
+                box.indices.push_back(first + i);
+        }
+    }
+    [[nodiscard]] float shadow(glm::dvec3 point, glm::dvec3 normal) const {
+        CasterViews casters({ground.view(), box.view()});
+        auto truth = EmbreeReference::build(casters);
+        REQUIRE(truth);
+        baseline::ReferenceOptions options;
+        options.samples = 64;
+        float found = -1.0f;
+        truth->shadowFactors(diskAbove(6, 0.3), &point, &normal, 1, &found, options);
+        return found;
+    }
+};
+
+}  // namespace
+
+TEST_CASE("a ground of any size lets a box be dark below and lit beside itself",
+          "[baseline][extreme]") {
+    for (const float half : {5.0f, 5e3f, 5e4f, 5e5f, 5e6f}) {
+        const HoveringBox scene(half);
+        INFO("half size " << half);
+        for (const glm::dvec3 normal : {glm::dvec3(0, 1, 0), glm::dvec3(0.0)}) {
+            CHECK(scene.shadow({0, 0, 0}, normal) == 1.0f);
+            CHECK(scene.shadow({0.1, 0, 0.2}, normal) == 1.0f);
+            CHECK(scene.shadow({1.5, 0, 0.3}, normal) == 0.0f);
+        }
+    }
+}
+
+TEST_CASE("a slanted ground does not shadow itself", "[baseline][extreme]") {
+    for (const float half : {5.0f, 500.0f, 5e4f}) {
+        const HoveringBox scene(half, 0.4f);
+        const glm::dvec3 normal = glm::normalize(glm::dvec3(-0.4, 1, 0));
+        for (double x = -3; x <= -1.2; x += 0.013) {
+            INFO("half size " << half << " x " << x);
+            CHECK(scene.shadow({x, double(0.4f) * x, 0.3}, normal) == 0.0f);
+        }
+    }
+}
+
+TEST_CASE("vertices that no triangle uses change nothing", "[baseline][extreme]") {
+    HoveringBox scene(3);
+    Mesh& ground = scene.ground;
+    const glm::vec3 stray(1e8f, -1e8f, 1e8f);
+    for (const bool front : {false, true}) {
+        ground.positions.insert(front ? ground.positions.begin() : ground.positions.end(),
+                                stray);
+        if (front) {
+            for (std::uint32_t& i : ground.indices)
+                ++i;
+        }
+        CHECK(scene.shadow({0.1, 0, 0.2}, {0, 1, 0}) == 1.0f);
+        CHECK(scene.shadow({1.5, 0, 0.3}, {0, 1, 0}) == 0.0f);
+    }
+    CasterViews casters({scene.ground.view()});
+    auto truth = EmbreeReference::build(casters);
+    REQUIRE(truth);
+    CHECK(truth->boundsMin() == glm::dvec3(-3, 0, -3));
+    CHECK(truth->boundsMax() == glm::dvec3(3, 0, 3));
+}
+
+TEST_CASE("what a camera sees from far away does not shadow itself",
+          "[baseline][extreme]") {
+    // A floor of 10 units, slanted, seen from 1e4 away: there a float of the distance is
+    // 1e-3.
+    Mesh floor = quad(-5, 5, -5, 5, 0);
+    for (glm::vec3& p : floor.positions)
+        p.y = 0.3f * p.x;
+    CasterViews casters({floor.view()});
+    auto truth = EmbreeReference::build(casters);
+    REQUIRE(truth);
+    const glm::dvec3 camera(1200, 1e4, 900), up = glm::normalize(glm::dvec3(-0.3f, 1, 0));
+    for (int i = 0; i < 200; ++i) {
+        const glm::dvec3 aim(0.04 * i - 4, 0, 3.9 - 0.037 * i);
+        const auto hit = truth->firstHit(camera, aim - camera);
+        REQUIRE(hit);
+        CHECK(std::abs(glm::dot(hit->position, up)) < 1e-6);
+        float found = -1.0f;
+        baseline::ReferenceOptions options;
+        options.samples = 16;
+        truth->shadowFactors(diskAbove(6, 0.3), &hit->position, &hit->normal, 1, &found,
+                             options);
+        CHECK(found == 0.0f);
+    }
+}

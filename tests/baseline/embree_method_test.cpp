@@ -8,6 +8,7 @@
 #include <glm/geometric.hpp>
 #include <glm/gtc/constants.hpp>
 #include <glm/gtc/matrix_transform.hpp>
+#include <new>
 #include <numeric>
 #include <random>
 
@@ -327,6 +328,40 @@ TEST_CASE("a half-transparent sheet shadows its opacity in every mode",
         for (const float v : row(diskAbove(4, 0.4), points.view(), mode(name, 5)))
             CHECK(v == Approx(0.3).epsilon(1e-5));
     }
+}
+
+TEST_CASE("a light sample where a ray starts makes a ray of no length, which is clear",
+          "[baseline][extreme]") {
+    AreaLight light;
+    light.shape = LightShape::point;
+    light.position = {1, 0.5, 2};
+    const light::LightSampler sampler(light);
+    const std::uint32_t index = 0;
+    for (const glm::dvec3 normal : {glm::dvec3(0, 1, 0), glm::dvec3(0.0)}) {
+        const glm::dvec3 point = normal.y > 0 ? glm::dvec3(1, 0, 2) : light.position;
+        RayStream stream;
+        PointRays(sampler, point, normal, glm::dvec3(0.0), 0.5)
+            .append(base::SquareSequence(1), &index, 1, 0, stream);
+        REQUIRE(stream.count == 1);
+        CHECK(stream.length[0] == 0.0f);
+        CHECK(std::hypot(stream.dirX[0], stream.dirY[0], stream.dirZ[0]) == 1.0f);
+    }
+    const Mesh blocker = quad(-50, 50, -50, 50, 2);
+    CasterViews casters({blocker.view()});
+    auto truth = EmbreeReference::build(casters);
+    REQUIRE(truth);
+    float found = -1.0f;
+    truth->shadowFactors(light, &light.position, nullptr, 1, &found);
+    CHECK(found == 0.0f);
+}
+
+TEST_CASE("casters for which there is no memory are refused", "[baseline][bad-input]") {
+    struct Endless final : CasterSource {
+        Status visit(const CasterVisitor&) override { throw std::bad_alloc(); }
+    } casters;
+    const auto truth = EmbreeReference::build(casters);
+    REQUIRE(!truth);
+    CHECK(truth.error().code == ErrorCode::tooLarge);
 }
 
 TEST_CASE("adaptive with as many samples first as at most is fixed", "[baseline]") {

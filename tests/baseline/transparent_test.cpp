@@ -153,6 +153,67 @@ TEST_CASE("the reference lets (1 - a)^n through n sheets of opacity a, at any sl
     }
 }
 
+TEST_CASE("a ray through an edge or a corner of triangles crosses their sheet once",
+          "[baseline][exact]") {
+    // Sheets of 4 x 4 squares around the origin, their diagonals through common corners;
+    // `split`: each triangle has vertices of its own, as a seam of a texture makes them.
+    const auto sheetAt = [](float height, bool split) {
+        Mesh sheet;
+        for (int i = 0; i < 16; ++i) {
+            const auto x = float(i % 4) - 2, z = float(i / 4) - 2;
+            for (const glm::vec2 c :
+                 {glm::vec2(0, 0), {1, 0}, {1, 1}, {0, 0}, {1, 1}, {0, 1}}) {
+                const glm::vec3 p(x + c.x, height, z + c.y);
+                const auto known =
+                    split ? sheet.positions.end()
+                          : std::find(sheet.positions.begin(), sheet.positions.end(), p);
+                sheet.indices.push_back(std::uint32_t(known - sheet.positions.begin()));
+                if (known == sheet.positions.end()) sheet.positions.push_back(p);
+            }
+        }
+        return sheet;
+    };
+    for (const bool split : {false, true}) {
+        const Mesh low = sheetAt(1, split), high = sheetAt(1.125f, split);
+        MeshView below = low.view(), above = high.view();
+        below.opacity = above.opacity = 0.5f;
+        const EmbreeReference one = build({below}), two = build({below, above});
+        // Along diagonals, edges, through corners; straight up and slanted.
+        for (const glm::dvec3 d : {glm::dvec3(0, 3, 0), {1, 4, 1}, {0.5, 2, 0.25}}) {
+            for (int i = -6; i <= 6; ++i) {
+                const double s = i / 4.0;
+                for (const glm::dvec3 at :
+                     {glm::dvec3(s, 1, s), {s, 1, 0}, {1, 1, s}, {s, 1, s - 0.125}}) {
+                    const glm::dvec3 from = at - d / d.y;
+                    INFO("through " << at.x << ", " << at.z);
+                    CHECK(one.visibility(from, d).x == 0.5f);
+                    CHECK(two.visibility(from, d).x == 0.25f);
+                    AreaLight light = lightAbove(0, 0);
+                    light.position = from + d;
+                    CHECK(shadow(two, light, from) == 0.75f);
+                }
+            }
+        }
+    }
+}
+
+TEST_CASE("sheets of one mesh that a ray crosses through edges all count",
+          "[baseline][exact]") {
+    Mesh stack;
+    for (int i = 0; i < 6; ++i) {
+        const Mesh sheet = quad(-1, 1, -1, 1, 1.0f + 0.01f * float(i));
+        for (const std::uint32_t k : sheet.indices)
+            stack.indices.push_back(k + std::uint32_t(stack.positions.size()));
+        stack.positions.insert(stack.positions.end(), sheet.positions.begin(),
+                               sheet.positions.end());
+    }
+    MeshView view = stack.view();
+    view.opacity = 0.5f;
+    const EmbreeReference truth = build({view});
+    for (const double s : {-0.5, 0.0, 0.25})
+        CHECK(truth.visibility({s, 0, s}, {0, 3, 0}).x == std::pow(0.5f, 6.0f));
+}
+
 TEST_CASE("tinted sheets colour the light; without colour their opacity counts",
           "[baseline][exact]") {
     const Mesh sheet = quad(-100, 100, -100, 100, 1);
@@ -336,15 +397,68 @@ TEST_CASE("a strand's ends are flat", "[baseline][exact]") {
     CHECK(truth.visibility({0.99, 0, 0}, {0, 3, 0}).x == Approx(0.6).epsilon(1e-5));
     CHECK(truth.visibility({1.01, 0, 0}, {0, 3, 0}).x == 1.0f);
     CHECK(truth.visibility({-1.01, 0, 0}, {0, 3, 0}).x == 1.0f);
+    CHECK(truth.firstHit({0.99, 0, 0}, {0, 3, 0}));
+    CHECK(!truth.firstHit({1.01, 0, 0}, {0, 3, 0}));
+    CHECK(!truth.firstHit({-1.01, 0, 0}, {0, 3, 0}));
 }
 
-TEST_CASE("a strand does not shadow what lies within its width", "[baseline]") {
+TEST_CASE("a strand shadows all that lies before it, but not what lies within it",
+          "[baseline]") {
     Strands hair;
     hair.add({{-1, 1, 0}, {1, 1, 0}});
     const EmbreeReference truth = build({hair.view()});
-    for (const double below : {0.0, 0.04, 0.09})
+    // Up to its radius, .05.
+    for (const double below : {-0.06, -0.04, 0.0, 0.03, 0.049})
         CHECK(truth.visibility({0, 1 - below, 0}, {0, 3, 0}).x == 1.0f);
-    CHECK(truth.visibility({0, 0.89, 0}, {0, 3, 0}).x == Approx(0.6).epsilon(1e-5));
+    for (const double below : {0.053, 0.07, 0.09, 0.11, 1.0}) {
+        CHECK(truth.visibility({0, 1 - below, 0}, {0, 3, 0}).x ==
+              Approx(0.6).epsilon(1e-5));
+        CHECK(shadow(truth, lightAbove(4, 0.001), {0, 1 - below, 0}) ==
+              Approx(0.4).epsilon(1e-5));
+    }
+    // Nor a tenth of its width off it, as rays from strands start.
+    for (double x = -0.05; x <= 0.05; x += 0.005) {
+        for (const glm::dvec3 d :
+             {glm::dvec3(0, 3, 0), {0, 3, 2}, {2, 1, -1}, {0, -3, 0}})
+            CHECK(truth.visibility({0, 1 - 0.01, x}, d).x == 1.0f);
+    }
+}
+
+TEST_CASE("a bend of segments shorter than its strand is wide does not shadow itself",
+          "[baseline]") {
+    // A quarter of a circle of radius 1 in steps of a fifth of the width.
+    Strands hair;
+    std::vector<glm::vec3> line;
+    for (int i = 0; i <= 78; ++i)
+        line.emplace_back(std::sin(0.02 * i), 1.0f, std::cos(0.02 * i));
+    hair.add(line);
+    const EmbreeReference truth = build({hair.view()});
+    const glm::dvec3 middle(std::sin(0.77), 1, std::cos(0.77)),
+        out(std::sin(0.77), 0, std::cos(0.77));
+    for (double x = -0.048; x <= 0.048; x += 0.004) {
+        for (double slant = 0.5; slant <= 2; slant += 0.25) {
+            const glm::dvec3 d(2 * out.z, 2 / slant, -2 * out.x);
+            CHECK(truth.visibility(middle + x * out, d).x == 1.0f);
+        }
+    }
+}
+
+TEST_CASE("sheets and bodies behind a ray's start do not count, however wide strands are",
+          "[baseline]") {
+    Strands hair;
+    hair.width = 0.5f;
+    hair.add({{-1, 2, 0}, {1, 2, 0}});
+    const Mesh sheet = quad(-5, 5, -5, 5, 0), body = quad(-5, 5, -5, 5, -0.1f);
+    MeshView thin = sheet.view();
+    thin.opacity = 0.5f;
+    const EmbreeReference truth = build({hair.view(), thin, body.view()});
+    CHECK(truth.visibility({0, 0.05, 0}, {0, 5, 0}).x == Approx(0.6).epsilon(1e-5));
+    CHECK(truth.visibility({0, -0.05, 0}, {0, 5, 0}).x == Approx(0.3).epsilon(1e-5));
+    CHECK(truth.visibility({0, -0.15, 0}, {0, 5, 0}).x == 0.0f);
+    CHECK(shadow(truth, lightAbove(4, 0.001), {0, 0, 0}) == Approx(0.4).epsilon(1e-5));
+    const auto hit = truth.firstHit({3, 4, 3}, {0, -1, 0});
+    REQUIRE(hit);
+    CHECK(hit->position == glm::dvec3(3, 0, 3));
 }
 
 TEST_CASE(
