@@ -25,7 +25,7 @@ struct Measured {
 /// The cheapest way to an error.
 struct Reached {
     double seconds = 0.0;  ///< build included
-    std::string label;  ///< of the run, or "between A and B"
+    std::string label;     ///< of the run, or "between A and B"
 };
 
 /// What reaches `error` in the least time; nothing if none of the runs does.

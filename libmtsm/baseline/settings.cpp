@@ -79,7 +79,7 @@ SettingInfo wordSetting(std::string name, std::vector<std::string> words,
                         std::string help, SettingUse use) {
     std::string fallback = words.front();
     return {std::move(name), std::move(fallback), use, std::move(help), 0.0, 0.0,
-            false,           std::move(words), {}};
+            false,           std::move(words),    {}};
 }
 
 std::string nearestName(const std::string& wrong, const std::vector<std::string>& names) {

@@ -586,7 +586,7 @@ class BadInput(Compare):
             self.assertIn("inside the casters' bounds", failed["reason"])
         self.assertIn("and 3 more", done.stdout)
         # The reason once, not once a run; and from the cache no other tables.
-        self.assertEqual(done.stderr.count("warning: "), 1, done.stderr)
+        self.assertEqual(done.stderr.count("inside the casters' bounds"), 1, done.stderr)
         again = self.good(self.of_job(*among))
         self.assertEqual(done.stdout, again.stdout)
 
