@@ -139,13 +139,11 @@ Result<std::unique_ptr<Method>> build(const MethodScene& scene,
     if (!casters) return casters.error();
     auto options = aimedOptions(*casters, scene.bake);
     if (!options) return options.error();
-    options->width = options->height = std::uint32_t(settings.whole("resolution"));
+    setResolutionAndBias(*options, settings);
     options->tolerance = float(settings.number("tolerance"));
     options->keepHidden = true;  // seen from one point, nothing behind opaque counts
     options->progress = nullptr;
     if (casters->opaque()) options->layers = 1;
-    if (const double bias = settings.number("bias"); bias >= 0.0)
-        options->bias = float(bias);
     auto centre = bake(*casters, viewAcross(*options, glm::dvec2(0.5)));
     if (!centre) return centre.error();
     return std::unique_ptr<Method>(new AccumulatedMethod(

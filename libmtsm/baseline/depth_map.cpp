@@ -85,6 +85,12 @@ Result<BakeOptions> aimedOptions(CasterSource& casters, const BakeOptions& optio
     return aimed;
 }
 
+void setResolutionAndBias(BakeOptions& options, const Settings& settings) {
+    options.width = options.height = std::uint32_t(settings.whole("resolution"));
+    if (const double bias = settings.number("bias"); bias >= 0.0)
+        options.bias = float(bias);
+}
+
 Result<ShadowMap> bakeDepthMap(CasterSource& casters, BakeOptions options,
                                std::uint32_t layers) {
     auto holes = anyHoles(casters);

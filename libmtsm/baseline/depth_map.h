@@ -3,6 +3,7 @@
 #pragma once
 #include <cstdint>
 
+#include "baseline/settings.h"
 #include "mtsm/bake.h"
 #include "mtsm/map.h"
 
@@ -13,6 +14,9 @@ namespace mtsm::baseline {
 /// out. Bakes a small map of the light if only the casters' bounds can tell. Errors:
 /// bake()'s.
 Result<BakeOptions> aimedOptions(CasterSource& casters, const BakeOptions& options);
+
+/// What rows that bake a map call "resolution" and "bias" (negative: as bake() has it).
+void setResolutionAndBias(BakeOptions& options, const Settings& settings);
 
 /// The nearest `layers` surfaces at every pixel's centre, the casters taken as opaque
 /// (opaque_casters.h). Of a textured mesh a pixel has what stops half of the light or

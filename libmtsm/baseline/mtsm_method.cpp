@@ -1,4 +1,5 @@
 // The map itself as a row of the comparison: baked, then traced or filtered.
+#include "baseline/depth_map.h"
 #include "baseline/methods.h"
 #include "mtsm/shadow.h"
 
@@ -34,13 +35,11 @@ class MtsmMethod final : public Method {
 Result<std::unique_ptr<Method>> build(const MethodScene& scene,
                                       const Settings& settings) {
     BakeOptions options = scene.bake;
-    options.width = options.height = std::uint32_t(settings.whole("resolution"));
+    setResolutionAndBias(options, settings);
     if (const int layers = settings.whole("layers"); layers > 0)
         options.layers = std::uint32_t(layers);
     options.tolerance = float(settings.number("tolerance"));
     options.subsamples = std::uint32_t(settings.whole("subsamples"));
-    if (const double bias = settings.number("bias"); bias >= 0.0)
-        options.bias = float(bias);
     auto baked = bake(scene.casters, options);
     if (!baked) return baked.error();
     return std::unique_ptr<Method>(new MtsmMethod(std::move(baked->map)));

@@ -131,9 +131,7 @@ Result<std::unique_ptr<Method>> build(const MethodScene& scene,
                                       const Settings& settings) {
     auto options = aimedOptions(scene.casters, scene.bake);
     if (!options) return options.error();
-    options->width = options->height = std::uint32_t(settings.whole("resolution"));
-    if (const double bias = settings.number("bias"); bias >= 0.0)
-        options->bias = float(bias);
+    setResolutionAndBias(*options, settings);
     const bool isPoint = light::LightSampler(options->light).isPoint();
     const std::size_t count = isPoint ? 1 : std::stoul(settings.word("views"));
     std::vector<ShadowMap> views;

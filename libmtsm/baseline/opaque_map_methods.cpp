@@ -31,9 +31,7 @@ Result<std::unique_ptr<Method>> build(const MethodScene& scene, const Settings& 
                                       std::uint32_t layers) {
     auto options = aimedOptions(scene.casters, scene.bake);
     if (!options) return options.error();
-    options->width = options->height = std::uint32_t(settings.whole("resolution"));
-    if (const double bias = settings.number("bias"); bias >= 0.0)
-        options->bias = float(bias);
+    setResolutionAndBias(*options, settings);
     auto map = bakeDepthMap(scene.casters, *options, layers);
     if (!map) return map.error();
     return std::unique_ptr<Method>(new OpaqueMapMethod(*std::move(map)));

@@ -207,9 +207,7 @@ void addCommon(std::vector<SettingInfo>& settings) {
 Result<BakeOptions> commonOptions(const MethodScene& scene, const Settings& settings) {
     auto options = aimedOptions(scene.casters, scene.bake);
     if (!options) return options;
-    options->width = options->height = std::uint32_t(settings.whole("resolution"));
-    if (const double bias = settings.number("bias"); bias >= 0.0)
-        options->bias = float(bias);
+    setResolutionAndBias(*options, settings);
     options->keepHidden = true;  // what no ray meets is still in front of a lookup
     return options;
 }

@@ -6,6 +6,7 @@
 #include <glm/gtc/constants.hpp>
 #include <random>
 
+#include "baseline/floor_scene.h"
 #include "baseline/reference_embree.h"
 #include "bumpy_mesh.h"
 #include "mtsm/bake.h"
@@ -13,31 +14,15 @@
 
 using namespace mtsm;
 using baseline::EmbreeReference;
+using test::diskAbove;
 using test::Mesh;
+using test::quad;
 
 namespace {
 
 struct Points {
     std::vector<glm::dvec3> position, normal;
 };
-
-/// A quad in the plane y = height, with x and z in the given ranges.
-Mesh quad(float x0, float x1, float z0, float z1, float height) {
-    Mesh mesh;
-    mesh.positions = {
-        {x0, height, z0}, {x1, height, z0}, {x1, height, z1}, {x0, height, z1}};
-    mesh.indices = {0, 1, 2, 0, 2, 3};
-    return mesh;
-}
-
-AreaLight diskAbove(double height, double radius) {
-    AreaLight light;
-    light.shape = LightShape::disk;
-    light.position = {0, height, 0};
-    light.direction = {0, -1, 0};
-    light.radius = radius;
-    return light;
-}
 
 double meanError(const std::vector<float>& a, const std::vector<float>& b) {
     double sum = 0.0;

@@ -14,6 +14,7 @@
 
 #include "base/sampling.h"
 #include "baseline/embree_method.h"
+#include "baseline/floor_scene.h"
 #include "baseline/methods.h"
 #include "baseline/reference_embree.h"
 #include "baseline/shadow_rays.h"
@@ -22,26 +23,11 @@
 
 using namespace mtsm;
 using namespace mtsm::baseline;
+using test::diskAbove;
 using test::Mesh;
+using test::quad;
 
 namespace {
-
-Mesh quad(float x0, float x1, float z0, float z1, float height) {
-    Mesh mesh;
-    mesh.positions = {
-        {x0, height, z0}, {x1, height, z0}, {x1, height, z1}, {x0, height, z1}};
-    mesh.indices = {0, 1, 2, 0, 2, 3};
-    return mesh;
-}
-
-AreaLight diskAbove(double height, double radius) {
-    AreaLight light;
-    light.shape = LightShape::disk;
-    light.position = {0, height, 0};
-    light.direction = {0, -1, 0};
-    light.radius = radius;
-    return light;
-}
 
 /// Share of a disk of radius .4 at height 4 that a half-plane at height 2, x < 0, hides
 /// from x on the floor.

@@ -9,23 +9,16 @@
 #include <limits>
 #include <random>
 
+#include "baseline/floor_scene.h"
 #include "baseline/reference_embree.h"
 #include "bumpy_mesh.h"
 
 using namespace mtsm;
 using baseline::EmbreeReference;
 using test::Mesh;
+using test::quad;
 
 namespace {
-
-/// A quad in the plane y = height, with x and z in the given ranges.
-Mesh quad(float x0, float x1, float z0, float z1, float height) {
-    Mesh mesh;
-    mesh.positions = {
-        {x0, height, z0}, {x1, height, z0}, {x1, height, z1}, {x0, height, z1}};
-    mesh.indices = {0, 1, 2, 0, 2, 3};
-    return mesh;
-}
 
 struct Strands {
     std::vector<glm::vec3> points;
