@@ -18,8 +18,10 @@ class MtsmMethod final : public Method {
         ShadowOptions options;
         options.samples = settings.whole("samples");
         options.bias = float(settings.number("query-bias"));
-        options.method =
-            settings.word("lookup") == "pcf" ? ShadowMethod::pcf : ShadowMethod::trace;
+        const std::string& lookup = settings.word("lookup");
+        options.method = lookup == "pcf"      ? ShadowMethod::pcf
+                         : lookup == "scalar" ? ShadowMethod::scalar
+                                              : ShadowMethod::trace;
         options.attenuation = settings.word("attenuation") == "subtract"
                                   ? Attenuation::subtract
                                   : Attenuation::multiply;
@@ -67,8 +69,8 @@ MethodInfo mtsmMethod() {
         wholeSetting("samples", 256, 1, kMaxSamples, "rays per point"),
         numberSetting("query-bias", -1.0, -1.0, 1e9,
                       "z threshold of the query, world units; -1: the map's own"),
-        wordSetting("lookup", {"trace", "pcf"},
-                    "traced, or filtered as small lights may"),
+        wordSetting("lookup", {"trace", "scalar", "pcf"},
+                    "traced, traced ray by ray, or filtered as small lights may"),
         wordSetting("attenuation", {"multiply", "subtract"}, "how samples add up"),
     };
     info.build = build;

@@ -8,6 +8,7 @@
 #include <set>
 
 #include "base/finite.h"
+#include "base/lazy.h"
 #include "base/message.h"
 #include "base/parallel.h"
 #include "mtsm/map.h"
@@ -72,6 +73,7 @@ Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
         }
     }
     map.buildHierarchy();
+    map.queryData_ = std::make_shared<base::Lazy>();
     return map;
 }
 

@@ -33,18 +33,27 @@ Query::Query(const ShadowMap& map, const AreaLight& light,
 
 glm::vec3 Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
                               QueryStats& stats) const noexcept {
-    ++stats.points;
-    if (!base::isFinite(point)) {
-        ++stats.notFinite;
+    if (!isShadowed(point)) {
+        ++stats.points;
+        ++(base::isFinite(point) ? stats.behindLight : stats.notFinite);
         return glm::vec3(0.0f);
     }
-    if (light_.isBehind(point)) {
-        ++stats.behindLight;
-        return glm::vec3(0.0f);
-    }
-    if (map_.info().castersClipped && mayBeTruncated(point)) ++stats.mayBeTruncated;
+    count(point, stats);
     return blocked(receiverAt(point, normal), base::pointKey(point, options_.seed),
                    stats);
+}
+
+void Query::count(glm::dvec3 point, QueryStats& stats) const noexcept {
+    ++stats.points;
+    if (map_.info().castersClipped && mayBeTruncated(point)) ++stats.mayBeTruncated;
+}
+
+glm::dvec3 unitNormal(glm::dvec3 normal) noexcept {
+    // Scaled first: the square of a length may overflow or vanish.
+    const double size =
+        std::max({std::abs(normal.x), std::abs(normal.y), std::abs(normal.z)});
+    if (!(size > 0.0) || !base::isFinite(normal)) return glm::dvec3(0.0);
+    return glm::normalize(normal / size);
 }
 
 Query::Receiver Query::receiverAt(glm::dvec3 point, glm::dvec3 normal) const noexcept {
@@ -55,13 +64,9 @@ Query::Receiver Query::receiverAt(glm::dvec3 point, glm::dvec3 normal) const noe
     const double z = glm::dot(p.forward, point - p.eye);
     receiver.surfaceStart = kStartBiases * bias_.at(z);
     receiver.mediaStart = kMediaStart * p.pixelFootprint(std::abs(z));
-    // Scaled first: the square of a length may overflow or vanish.
-    const double size =
-        std::max({std::abs(normal.x), std::abs(normal.y), std::abs(normal.z)});
-    if (size > 0.0 && base::isFinite(normal)) {
-        receiver.hasNormal = true;
-        receiver.plane = {point, glm::normalize(normal / size), kPlaneHeight};
-    }
+    const glm::dvec3 unit = unitNormal(normal);
+    receiver.hasNormal = unit != glm::dvec3(0.0);
+    if (receiver.hasNormal) receiver.plane = {point, unit, kPlaneHeight};
     return receiver;
 }
 

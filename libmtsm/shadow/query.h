@@ -2,6 +2,7 @@
 #pragma once
 #include <glm/vec3.hpp>
 
+#include "base/finite.h"
 #include "base/sampling.h"
 #include "light/sample.h"
 #include "mtsm/map.h"
@@ -33,6 +34,14 @@ class Query {
   public:
     Query(const ShadowMap& map, const AreaLight& light,
           const ShadowOptions& options) noexcept;
+
+    /// Is there anything to be found out about the point? It is finite and in front of
+    /// the light.
+    [[nodiscard]] bool isShadowed(glm::dvec3 point) const noexcept {
+        return base::isFinite(point) && !light_.isBehind(point);
+    }
+    /// Counts a point of which that is true.
+    void count(glm::dvec3 point, QueryStats& stats) const noexcept;
 
     /// Shadow factors of the channels at a point; adds to `stats`.
     [[nodiscard]] glm::vec3 shadowFactor(glm::dvec3 point, glm::dvec3 normal,
@@ -75,6 +84,9 @@ class Query {
     bool media_;  // does the map hold media?
     std::uint32_t samples_ = 1;
 };
+
+/// Of a normal of any length; zero if it says nothing.
+[[nodiscard]] glm::dvec3 unitNormal(glm::dvec3 normal) noexcept;
 
 /// The mean of the channels that the map has.
 template <typename Channels>

@@ -9,7 +9,9 @@
 #include "base/finite.h"
 #include "base/message.h"
 #include "base/parallel.h"
+#include "shadow/bundle_query.h"
 #include "shadow/query.h"
+#include "shadow/receiver_order.h"
 
 namespace mtsm {
 namespace {
@@ -26,23 +28,73 @@ void add(QueryStats& total, const QueryStats& part) {
     total.mayBeTruncated += part.mayBeTruncated;
 }
 
-/// Hands the factors of point i to take(i, factors), for all points.
+/// Hands the factors of point i to take(i, factors), for all points, one by one.
 template <typename Take>
-void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
-               const glm::dvec3* normals, std::size_t count, const ShadowOptions& options,
-               QueryStats* stats, const Take& take) {
-    const shadow::Query query(map, light, options);
+void answerEach(const shadow::Query& query, const glm::dvec3* points,
+                const glm::dvec3* normals, std::size_t count, QueryStats& stats,
+                const Take& take) {
     std::mutex mutex;
     const auto answer = [&](std::size_t begin, std::size_t end) {
         QueryStats part;
         for (std::size_t i = begin; i < end; ++i)
             take(i, query.shadowFactor(points[i], normals ? normals[i] : glm::dvec3(0.0),
                                        part));
-        if (!stats) return;
         const std::lock_guard lock(mutex);
-        add(*stats, part);
+        add(stats, part);
     };
     base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
+}
+
+/// The same, neighbours together.
+template <typename Take>
+void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles,
+                  const glm::dvec3* points, const glm::dvec3* normals, std::size_t count,
+                  QueryStats& stats, const Take& take) {
+    const shadow::ReceiverOrder order(query, bundles, points, normals, count);
+    std::mutex mutex;
+    const auto answer = [&](std::size_t begin, std::size_t end) {
+        QueryStats part;
+        for (std::size_t first = begin; first < end;) {
+            const shadow::ReceiverOrder::Group group = order.group(first, end);
+            shadow::BundleQuery::Receiver receivers[trace::kLanes];
+            float factors[trace::kLanes];
+            for (std::size_t k = 0; k < group.count; ++k) {
+                const std::size_t i = order[first + k];
+                receivers[k].point = points[i];
+                if (normals) receivers[k].normal = shadow::unitNormal(normals[i]);
+            }
+            if (group.bundled) {
+                for (std::size_t k = 0; k < group.count; ++k)
+                    query.count(receivers[k].point, part);
+                bundles.shadowFactors(receivers, int(group.count), factors, part);
+            }
+            for (std::size_t k = 0; k < group.count; ++k) {
+                take(order[first + k],
+                     group.bundled ? glm::vec3(factors[k])
+                                   : query.shadowFactor(receivers[k].point,
+                                                        receivers[k].normal, part));
+            }
+            first += group.count;
+        }
+        const std::lock_guard lock(mutex);
+        add(stats, part);
+    };
+    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
+}
+
+template <typename Take>
+void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
+               const glm::dvec3* normals, std::size_t count, const ShadowOptions& options,
+               QueryStats* stats, const Take& take) {
+    const shadow::Query query(map, light, options);
+    QueryStats met;
+    if (shadow::BundleQuery::serves(map, options)) {
+        const shadow::BundleQuery bundles(map, light, options);
+        answerGroups(query, bundles, points, normals, count, met, take);
+    } else {
+        answerEach(query, points, normals, count, met, take);
+    }
+    if (stats) add(*stats, met);
 }
 
 }  // namespace
@@ -63,8 +115,9 @@ Status checkQuery(const ShadowMap& map, const AreaLight& light,
 glm::vec3 shadowFactorColor(const ShadowMap& map, const AreaLight& light,
                             glm::dvec3 point, glm::dvec3 normal,
                             const ShadowOptions& options) noexcept {
-    QueryStats stats;
-    return shadow::Query(map, light, options).shadowFactor(point, normal, stats);
+    glm::vec3 factor;
+    shadowFactorsColor(map, light, &point, &normal, 1, &factor, options);
+    return factor;
 }
 
 float shadowFactor(const ShadowMap& map, const AreaLight& light, glm::dvec3 point,

@@ -33,6 +33,25 @@ struct RayBundle {
     /// [block]: bit i is set if the ray of lane i is to be followed. Kernels of opaque
     /// maps clear the bits of rays that are blocked.
     std::uint16_t open[kMostBlocks];
+
+    // How coarsely a ray may be answered; of one receiver the same for all its rays.
+    /// [lane]: distance between neighbouring rays, pixels, per w that they are away from
+    /// the start: something so much coarser than a pixel does.
+    alignas(64) float spread[kLanes];
+    /// [lane]: most pixels that a ray goes sideways per w.
+    alignas(64) float slant[kLanes];
+    /// [lane]: no level above this one may answer.
+    std::uint8_t topLevel[kLanes];
+    /// [block][lane]: a texel that is covered in part blocks the rays whose threshold
+    /// (0..15; exclusive or with a number of the patch) lies below its share.
+    std::uint8_t threshold[kMostBlocks][kLanes];
+
+    /// The receivers' tangent planes; nothing below them counts. A place is planeU (u -
+    /// start u) + planeV (v - start v) + planeW (w - start w) above, in a measure of
+    /// which `planeHeight` is needed.
+    bool hasPlanes = false;
+    alignas(64) float planeU[kLanes], planeV[kLanes], planeW[kLanes];
+    float planeHeight = 0.0f;
 };
 
 }  // namespace mtsm::trace

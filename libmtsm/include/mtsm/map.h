@@ -22,6 +22,7 @@
 #include <glm/vec2.hpp>
 #include <glm/vec3.hpp>
 #include <limits>
+#include <memory>
 #include <string>
 #include <utility>
 #include <variant>
@@ -31,6 +32,10 @@
 #include "mtsm/result.h"
 
 namespace mtsm {
+
+namespace base {
+class Lazy;
+}
 
 enum class ProjectionKind : std::uint32_t { perspective = 0, orthographic = 1 };
 
@@ -205,6 +210,10 @@ class ShadowMap {
     /// Bytes that layers and hierarchy take in memory.
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
 
+    /// What queries make of the map, once; for the library's own use. Copies of a map
+    /// share it.
+    [[nodiscard]] base::Lazy& queryData() const noexcept { return *queryData_; }
+
   private:
     struct Level {
         std::uint32_t width = 0;
@@ -223,6 +232,7 @@ class ShadowMap {
     std::uint32_t tilesX_ = 0, tilesY_ = 0, tileShift_ = 0, levels_ = 0;
     std::uint64_t layerCount_ = 0;
     bool isOpaque_ = true;
+    std::shared_ptr<base::Lazy> queryData_;
 };
 
 /// True if the two maps are the same to the last bit: info, projections and layers.

@@ -40,7 +40,10 @@
 namespace mtsm {
 
 enum class ShadowMethod {
-    trace,  ///< rays through the map [Xie07, sec. 4.3, 5.2]
+    trace,  ///< rays through the map, many at once [Xie07, sec. 4.3, 5.2]
+    /// The same ray by ray and layer by layer, as the paper does: what `trace` is judged
+    /// by.
+    scalar,
     /// Percentage-closer filtering, size from eq. 1 [Xie07, sec. 3]: for small lights. Of
     /// a transparent map it filters the visibility at the receiver's depth, the product
     /// over all samples in front of it on the centre ray, as a deep shadow map does. With

@@ -1,0 +1,183 @@
+#include "shadow/bundle_query.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+
+#include "base/sampling.h"
+#include "trace/patch_trace.h"
+
+namespace mtsm::shadow {
+namespace {
+
+/// Points whose raster position is further from the window than this many times its size
+/// are left to the scalar trace.
+constexpr double kFarthestOutside = 8.0;
+
+LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
+                 const ShadowOptions& options, bool normals) {
+    LightRays::Setting setting;
+    setting.samples =
+        light.isPoint() ? 1u : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
+    setting.normals = normals;
+    setting.weights = normals && options.weight == Weight::cosine;
+    setting.height = kPlaneHeight;
+    return LightRays(map.projection(0), map.info().width, map.info().height,
+                     map.zRange(0), light, setting);
+}
+
+/// Spreads the lowest 10 bits, two zeros between each.
+std::uint32_t spread(std::uint32_t x) {
+    x = (x | x << 16) & 0x030000ffu;
+    x = (x | x << 8) & 0x0300f00fu;
+    x = (x | x << 4) & 0x030c30c3u;
+    return (x | x << 2) & 0x09249249u;
+}
+
+void addLanes(const std::uint16_t mask, float* sums, const float* weights) {
+    for (int i = 0; i < trace::kLanes; ++i)
+        sums[i] += (mask >> i & 1) ? weights[i] : 0.0f;
+}
+
+constexpr float kOnes[trace::kLanes] = {1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
+
+}  // namespace
+
+bool BundleQuery::serves(const ShadowMap& map, const ShadowOptions& options) noexcept {
+    return options.method == ShadowMethod::trace && map.isOpaque() &&
+           map.faceCount() == 1 && map.layerCount() > 0;
+}
+
+BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
+                         const ShadowOptions& options)
+    : map_(map),
+      projection_(map.projection(0)),
+      light_(light),
+      options_(options),
+      bias_(biasOf(map, options.bias)),
+      tree_(trace::patchTrees(map)[0]),
+      withNormals_(raysOf(map, light_, options, true)),
+      without_(raysOf(map, light_, options, false)) {
+    const light::LightView seen = light_.view(projection_.eye + projection_.forward);
+    fixedAxes_ = seen.endless || seen.domain != light::LightView::Domain::cap;
+    const auto turn = [&](glm::dvec3 d) {
+        return projection_.lightFromWorldDirection(d);
+    };
+    axisX_ = turn(seen.x), axisY_ = turn(seen.y), axisZ_ = turn(seen.z);
+    base_ = turn(seen.base);
+    capHeight_ = seen.capHeight;
+    if (!seen.endless) centre_ = projection_.lightFromWorld(light_.centre());
+}
+
+bool BundleQuery::takes(glm::dvec3 point) const noexcept {
+    const glm::dvec3 p = projection_.lightFromWorld(point);
+    const bool perspective = projection_.kind == ProjectionKind::perspective;
+    if (perspective && !(p.z > 0.5 * map_.zRange(0).min)) return false;
+    const glm::dvec2 r = projection_.rasterFromLight(p);
+    const double width = map_.info().width, height = map_.info().height;
+    return std::abs(r.x - 0.5 * width) <= kFarthestOutside * width &&
+           std::abs(r.y - 0.5 * height) <= kFarthestOutside * height;
+}
+
+std::uint32_t BundleQuery::placeOf(glm::dvec3 point) const noexcept {
+    const glm::dvec3 p = projection_.lightFromWorld(point);
+    const glm::dvec2 r = projection_.rasterFromLight(p);
+    const double footprint = projection_.pixelFootprint(1.0);
+    // In windows away from its middle; depth too, and footprints grow with depth, if
+    // perspective.
+    const double width = std::max(map_.info().width, map_.info().height);
+    const ZRange range = map_.zRange(0);
+    const double away = projection_.kind == ProjectionKind::perspective
+                            ? std::log(p.z / range.max)
+                            : p.z - range.max;
+    const double places[] = {r.x / width - 0.5, r.y / width - 0.5,
+                             away / (footprint * width)};
+    std::uint32_t place = 0;
+    for (int i = 0; i < 3; ++i) {
+        // Finest in the middle, and nothing is too far away.
+        const double near = places[i] / (1.0 + std::abs(places[i]));
+        place |= spread(std::uint32_t(std::clamp(512.0 + 512.0 * near, 0.0, 1023.0)))
+                 << i;
+    }
+    return place;
+}
+
+void BundleQuery::setLane(const Receiver& receiver, int lane,
+                          ReceiverLanes& lanes) const noexcept {
+    const glm::dvec3 p = projection_.lightFromWorld(receiver.point);
+    const auto set = [lane](ReceiverLanes::Lanes& x, ReceiverLanes::Lanes& y,
+                            ReceiverLanes::Lanes& z, glm::dvec3 v) {
+        x[lane] = float(v.x), y[lane] = float(v.y), z[lane] = float(v.z);
+    };
+    glm::dvec3 base = light_.shape() == LightShape::sun ? base_ : centre_ - p;
+    glm::dvec3 x = axisX_, y = axisY_, z = axisZ_;
+    double capHeight = capHeight_;
+    if (!fixedAxes_) {
+        const light::LightView seen = light_.view(receiver.point);
+        const auto turn = [&](glm::dvec3 d) {
+            return projection_.lightFromWorldDirection(d);
+        };
+        base = turn(seen.base);
+        x = turn(seen.x), y = turn(seen.y), z = turn(seen.z);
+        capHeight = seen.capHeight;
+    }
+    set(lanes.x, lanes.y, lanes.z, p);
+    set(lanes.baseX, lanes.baseY, lanes.baseZ, base);
+    set(lanes.axisXX, lanes.axisXY, lanes.axisXZ, x);
+    set(lanes.axisYX, lanes.axisYY, lanes.axisYZ, y);
+    set(lanes.axisZX, lanes.axisZY, lanes.axisZZ, z);
+    set(lanes.normalX, lanes.normalY, lanes.normalZ,
+        projection_.lightFromWorldDirection(receiver.normal));
+    lanes.capHeight[lane] = float(capHeight);
+    lanes.start[lane] = float(kStartBiases * bias_.at(p.z));
+    lanes.key[lane] = std::uint32_t(base::pointKey(receiver.point, options_.seed));
+}
+
+void BundleQuery::shadowFactors(const Receiver* receivers, int count, float* out,
+                                QueryStats& stats) const noexcept {
+    using Layout = LightRays::Layout;
+    const bool normals = receivers[0].normal != glm::dvec3(0.0);
+    const bool weights = normals && options_.weight == Weight::cosine;
+    const LightRays& rays = normals ? withNormals_ : without_;
+    const Layout layout = count > 1 ? Layout::receivers : Layout::cells;
+    ReceiverLanes lanes;
+    lanes.count = count;
+    for (int i = 0; i < trace::kLanes; ++i)
+        setLane(receivers[i < count ? i : 0], i, lanes);
+
+    trace::RayBundle bundle;
+    RayFates fates;
+    float visible[trace::kLanes] = {}, total[trace::kLanes] = {};
+    float above[trace::kLanes] = {};  // rays above the horizon
+    for (std::uint32_t index = 0; index < rays.bundles(layout); ++index) {
+        rays.fill(lanes, layout, index, bundle, fates);
+        for (int b = 0; b < bundle.blocks; ++b) {
+            const auto counted = std::uint16_t(bundle.open[b] | fates.clear[b]);
+            stats.rays += std::uint64_t(std::popcount(counted));
+            if (!weights) continue;
+            addLanes(counted, above, kOnes);
+            addLanes(counted, total, fates.weight[b]);
+        }
+        trace::tracePatches(tree_, bundle);
+        for (int b = 0; b < bundle.blocks; ++b)
+            addLanes(std::uint16_t(bundle.open[b] | fates.clear[b]), visible,
+                     weights ? fates.weight[b] : kOnes);
+    }
+    if (layout == Layout::cells) {
+        for (int i = 1; i < trace::kLanes; ++i) {
+            visible[0] += visible[i];
+            total[0] += total[i];
+            above[0] += above[i];
+        }
+    }
+    const float samples =
+        float(light_.isPoint() ? 1 : std::clamp(options_.samples, 1, kMaxSamples));
+    for (int i = 0; i < count; ++i) {
+        if (!weights) total[i] = samples;
+        // All weights may vanish in the distance; below the horizon all is dark.
+        out[i] = total[i] > 0.0f ? std::clamp(1.0f - visible[i] / total[i], 0.0f, 1.0f)
+                                 : (above[i] > 0.0f ? 0.0f : 1.0f);
+    }
+}
+
+}  // namespace mtsm::shadow

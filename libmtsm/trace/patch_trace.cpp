@@ -1,0 +1,652 @@
+// tracePatches: from the light's end down, breadth first, sixteen patches and then
+// sixteen rays at a time.
+#include "trace/patch_trace.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstring>
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "trace/patch_trace.cpp"
+#define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
+#include <hwy/foreach_target.h>
+#include <hwy/highway.h>
+
+HWY_BEFORE_NAMESPACE();
+namespace mtsm::trace::HWY_NAMESPACE {
+namespace hn = hwy::HWY_NAMESPACE;
+
+// Sixteen lanes, in as many vectors as the target needs for them.
+using Floats = hn::CappedTag<float, kLanes>;
+using Ints = hn::RebindToSigned<Floats>;
+using Vec = hn::Vec<Floats>;
+using VecI = hn::Vec<Ints>;
+constexpr Floats kF;
+constexpr Ints kI;
+constexpr int kN = int(hn::MaxLanes(kF));
+
+HWY_INLINE std::uint32_t bitsOf(hn::Mask<Floats> mask) {
+    std::uint8_t bytes[8] = {};
+    hn::StoreMaskBits(kF, mask, bytes);
+    std::uint16_t bits;
+    std::memcpy(&bits, bytes, sizeof bits);
+    return bits & ((1u << kN) - 1);
+}
+HWY_INLINE std::uint32_t bitsOf(hn::Mask<Ints> mask) {
+    return bitsOf(hn::RebindMask(kF, mask));
+}
+
+/// Part number i of the same field of four groups, one part being what a vector holds.
+template <typename D>
+HWY_INLINE hn::Vec<D> loadField(D d, const float* const* groups, int field, int i) {
+    constexpr int lanes = int(hn::MaxLanes(D()));
+    if constexpr (lanes < 4) {
+        return hn::LoadU(d, groups[i / 4] + field + i % 4);
+    } else if constexpr (lanes == 4) {
+        return hn::Load(d, groups[i] + field);
+    } else {
+#if HWY_TARGET != HWY_SCALAR
+        const hn::Half<D> half;
+        return hn::Combine(d, loadField(half, groups, field, 2 * i + 1),
+                           loadField(half, groups, field, 2 * i));
+#endif
+    }
+}
+
+/// Groups that wait, with the receivers that they may still matter to.
+struct Waiting {
+    std::uint32_t group, groups;
+    std::uint16_t lanes;
+};
+
+/// First in, first out, so that coarse patches in front are met first; above half full
+/// last in, first out, which goes no deeper than the tree. Order decides nothing but
+/// time.
+class Queue {
+  public:
+    [[nodiscard]] bool empty() const { return first_ == last_; }
+    void push(Waiting w) { waiting_[last_++ % kSize] = w; }
+    /// Takes one group.
+    std::uint32_t pop(std::uint16_t& lanes) {
+        const bool full = last_ - first_ > kSize / 2;
+        Waiting& w = waiting_[(full ? last_ - 1 : first_) % kSize];
+        const std::uint32_t group = w.group++;
+        lanes = w.lanes;
+        if (--w.groups == 0) full ? --last_ : ++first_;
+        return group;
+    }
+
+  private:
+    // 16 entries at most for every level of the tree and of quarters of patches: far less
+    // than half of it.
+    static constexpr std::uint32_t kSize = 2048;
+    Waiting waiting_[kSize];
+    std::uint32_t first_ = 0, last_ = 0;
+};
+
+/// 1 / x but for the last bit or two.
+HWY_INLINE Vec reciprocal(Vec x) {
+    const Vec guess = hn::ApproximateReciprocal(x);
+    return hn::Mul(guess, hn::NegMulAdd(x, guess, hn::Set(kF, 2.0f)));
+}
+
+/// The rays of a bundle, block by block and receiver by receiver: what lies near to the
+/// receivers concerns few of them but all of their rays, what lies far away few blocks.
+struct Rays {
+    /// [receiver][block]
+    alignas(64) float du[kLanes][kMostBlocks], dv[kLanes][kMostBlocks];
+    alignas(64) float dw[kLanes][kMostBlocks], begin[kLanes][kMostBlocks];
+    std::uint64_t open[kLanes];  ///< one bit a block
+};
+
+class Traversal {
+  public:
+    Traversal(const PatchTree& tree, RayBundle& bundle) : tree_(tree), bundle_(bundle) {}
+
+    void run() {
+        for (int b = 0; b < bundle_.blocks; ++b) {
+            if (bundle_.open[b]) openBlocks_ |= std::uint64_t(1) << b;
+            lanes_ |= bundle_.open[b];
+        }
+        if (openBlocks_ == 0) return;
+        turn();
+        findHull();
+        findLevels();
+        enter();
+        while (!queue_.empty() && lanes_ != 0)
+            look();
+    }
+
+  private:
+    // --- what holds for all rays
+    // -----------------------------------------------------------
+
+    /// From [block][lane] to [lane][block].
+    void turn() {
+        const int blocks = (bundle_.blocks + kLanes - 1) / kLanes * kLanes;
+        const auto copy = [blocks](const float(&from)[kMostBlocks][kLanes],
+                                   float(&to)[kLanes][kMostBlocks]) {
+            for (int lane = 0; lane < kLanes; ++lane) {
+                for (int b = 0; b < blocks; ++b)
+                    to[lane][b] = from[b][lane];
+            }
+        };
+        copy(bundle_.du, rays_.du), copy(bundle_.dv, rays_.dv);
+        copy(bundle_.dw, rays_.dw), copy(bundle_.begin, rays_.begin);
+        for (std::uint64_t& open : rays_.open)
+            open = 0;
+        for (int b = 0; b < bundle_.blocks; ++b) {
+            for (std::uint32_t rest = bundle_.open[b]; rest; rest &= rest - 1)
+                rays_.open[std::countr_zero(rest)] |= std::uint64_t(1) << b;
+        }
+    }
+
+    void findHull() {
+        const Vec never = hn::Set(kF, HUGE_VALF);
+        for (int b = 0; b < kMostBlocks; ++b) {
+            endLowU_[b] = endLowV_[b] = HUGE_VALF;
+            endHighU_[b] = endHighV_[b] = -HUGE_VALF;
+        }
+        for (int i = 0; i < kLanes; i += kN) {
+            hn::Store(never, kF, dwLow_ + i), hn::Store(hn::Neg(never), kF, dwHigh_ + i);
+        }
+        for (int b = 0; b < bundle_.blocks; ++b) {
+            if (bundle_.open[b] == 0) continue;
+            Vec lowU = never, lowV = never, highU = hn::Neg(never), highV = highU;
+            for (int i = 0; i < kLanes; i += kN) {
+                const auto open = maskOf(bundle_.open[b], i);
+                const Vec u =
+                    hn::Add(hn::Load(kF, bundle_.u + i), hn::Load(kF, bundle_.du[b] + i));
+                const Vec v =
+                    hn::Add(hn::Load(kF, bundle_.v + i), hn::Load(kF, bundle_.dv[b] + i));
+                const Vec dw = hn::Load(kF, bundle_.dw[b] + i);
+                lowU = hn::Min(lowU, hn::IfThenElse(open, u, lowU));
+                highU = hn::Max(highU, hn::IfThenElse(open, u, highU));
+                lowV = hn::Min(lowV, hn::IfThenElse(open, v, lowV));
+                highV = hn::Max(highV, hn::IfThenElse(open, v, highV));
+                const Vec least = hn::Load(kF, dwLow_ + i);
+                const Vec most = hn::Load(kF, dwHigh_ + i);
+                hn::Store(hn::Min(least, hn::IfThenElse(open, dw, least)), kF,
+                          dwLow_ + i);
+                hn::Store(hn::Max(most, hn::IfThenElse(open, dw, most)), kF, dwHigh_ + i);
+            }
+            endLowU_[b] = hn::GetLane(hn::MinOfLanes(kF, lowU));
+            endHighU_[b] = hn::GetLane(hn::MaxOfLanes(kF, highU));
+            endLowV_[b] = hn::GetLane(hn::MinOfLanes(kF, lowV));
+            endHighV_[b] = hn::GetLane(hn::MaxOfLanes(kF, highV));
+        }
+        hull_ = {HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF,
+                 HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF};
+        for (std::uint32_t rest = lanes_; rest; rest &= rest - 1) {
+            const int i = std::countr_zero(rest);
+            const auto include = [](float& low, float& high, float a, float b) {
+                low = std::min(low, a), high = std::max(high, b);
+            };
+            include(hull_.uLow, hull_.uHigh, bundle_.u[i], bundle_.u[i]);
+            include(hull_.vLow, hull_.vHigh, bundle_.v[i], bundle_.v[i]);
+            include(hull_.wLow, hull_.wHigh, bundle_.w[i], bundle_.w[i]);
+            include(hull_.dwLow, hull_.dwHigh, dwLow_[i], dwHigh_[i]);
+        }
+        endsLowU_ = *std::min_element(endLowU_, endLowU_ + bundle_.blocks);
+        endsHighU_ = *std::max_element(endHighU_, endHighU_ + bundle_.blocks);
+        endsLowV_ = *std::min_element(endLowV_, endLowV_ + bundle_.blocks);
+        endsHighV_ = *std::max_element(endHighV_, endHighV_ + bundle_.blocks);
+    }
+
+    void findLevels() {
+        for (int level = 0; level < kMostLevels; ++level) {
+            mayAnswer_[level] = 0;
+            for (std::uint32_t rest = lanes_; rest; rest &= rest - 1) {
+                const int i = std::countr_zero(rest);
+                if (bundle_.topLevel[i] >= level)
+                    mayAnswer_[level] |= std::uint16_t(1u << i);
+            }
+            if (mayAnswer_[level]) top_ = level;
+        }
+    }
+
+    /// The tiles of the first level at which some receiver may be answered, or, if those
+    /// were many, of a coarser one.
+    void enter() {
+        const std::vector<PatchTree::Level>& levels = tree_.levels();
+        const float u0 = std::min(hull_.uLow, endsLowU_);
+        const float u1 = std::max(hull_.uHigh, endsHighU_);
+        const float v0 = std::min(hull_.vLow, endsLowV_);
+        const float v1 = std::max(hull_.vHigh, endsHighV_);
+        std::size_t level = std::min(std::size_t(std::max(top_, 1)), levels.size() - 1);
+        while (level + 1 < levels.size() &&
+               std::max(u1 - u0, v1 - v0) > 2.0f * float(levels[level].side))
+            ++level;
+        const PatchTree::Level& entry = levels[level];
+        const auto place = [&](float x, std::uint32_t count) {
+            const float tile = std::floor(x / float(entry.side));
+            return std::uint32_t(std::clamp(tile, 0.0f, float(count - 1)));
+        };
+        for (std::uint32_t y = place(v0, entry.rows); y <= place(v1, entry.rows); ++y) {
+            for (std::uint32_t x = place(u0, entry.columns);
+                 x <= place(u1, entry.columns); ++x) {
+                const PatchTree::Entry& tile =
+                    entry.tiles[std::size_t(y) * entry.columns + x];
+                if (tile.groups > 0) queue_.push({tile.group, tile.groups, lanes_});
+            }
+        }
+    }
+
+    // --- patches
+    // ---------------------------------------------------------------------------
+
+    /// Looks at up to four groups.
+    void look() {
+        const float* fields[4];
+        const PatchGroup* groups[4];
+        std::uint16_t lanes[4];
+        std::uint32_t met = 0;
+        for (int i = 0; i < 4; ++i) {
+            groups[i] = tree_.groups();  // any one, if there is none to look at
+            lanes[i] = 0;
+            if (!queue_.empty()) {
+                groups[i] += queue_.pop(lanes[i]);
+                met |= 15u << (4 * i);
+            }
+            fields[i] = groups[i]->high;
+        }
+        std::uint32_t reached = 0;
+        for (int i = 0; i < 16; i += kN)
+            reached |= meet(fields, i) << i;
+        for (met &= reached; met; met &= met - 1) {
+            const int i = std::countr_zero(met);
+            visit(*groups[i / 4], i % 4, i, lanes[i / 4] & lanes_);
+            if (lanes_ == 0) return;
+        }
+    }
+
+    static constexpr int field(int i) { return 4 * i; }  // of PatchGroup, in its order
+
+    /// For which s a ray that comes nearer to the eye by dw is between two depths that
+    /// are `low` and `high` above its start: 1 / s from near to far.
+    struct Reach {
+        Vec near, far;
+        hn::Mask<Floats> any;
+    };
+    static Reach reachOf(Vec low, Vec high, Vec dwLow, Vec dwHigh) {
+        const Vec one = hn::Set(kF, 1.0f), zero = hn::Zero(kF);
+        const Vec least = hn::Mul(dwHigh, hn::Set(kF, kLeastS));
+        Reach r;
+        r.near = hn::Mul(dwHigh, reciprocal(hn::Max(low, least)));
+        r.far = hn::Max(one, hn::Mul(dwLow, reciprocal(hn::Max(high, least))));
+        // Some ray is level or leads away from the eye: nothing is known.
+        const auto unknown = hn::Not(hn::Gt(dwLow, zero));
+        r.near = hn::IfThenElse(unknown, hn::Set(kF, 1.0f / kLeastS), r.near);
+        r.far = hn::IfThenElse(unknown, one, r.far);
+        r.any = hn::And(hn::Or(hn::Ge(high, zero), unknown),
+                        hn::Ge(hn::Mul(r.near, hn::Set(kF, 1.0f + 0x1p-20f)), r.far));
+        return r;
+    }
+
+    /// Where, seen from starts between low and high, something between two sides lies at
+    /// the rays' ends.
+    struct Shadow {
+        Vec low, high;
+    };
+    static Shadow shadowOf(Vec side0, Vec side1, Vec startLow, Vec startHigh,
+                           const Reach& r) {
+        const Vec a = hn::Sub(side0, startHigh), b = hn::Sub(side1, startLow);
+        return {hn::Add(startHigh, hn::Min(hn::Mul(a, r.near), hn::Mul(a, r.far))),
+                hn::Add(startLow, hn::Max(hn::Mul(b, r.near), hn::Mul(b, r.far)))};
+    }
+
+    /// Which patches, of a vector from number `first` on, any ray can meet; keeps their
+    /// shadows.
+    std::uint32_t meet(const float* const* groups, int first) {
+        const auto load = [&](int number) {
+            return loadField(kF, groups, field(number), first / kN);
+        };
+        const Vec high = load(0), low = load(1);
+        const Vec u = load(6), v = load(7), halfU = load(8), halfV = load(9);
+        const Reach r = reachOf(hn::Sub(low, hn::Set(kF, hull_.wHigh)),
+                                hn::Sub(high, hn::Set(kF, hull_.wLow)),
+                                hn::Set(kF, hull_.dwLow), hn::Set(kF, hull_.dwHigh));
+        const Shadow inU = shadowOf(hn::Sub(u, halfU), hn::Add(u, halfU),
+                                    hn::Set(kF, hull_.uLow), hn::Set(kF, hull_.uHigh), r);
+        const Shadow inV = shadowOf(hn::Sub(v, halfV), hn::Add(v, halfV),
+                                    hn::Set(kF, hull_.vLow), hn::Set(kF, hull_.vHigh), r);
+        hn::Store(inU.low, kF, shadowLowU_ + first);
+        hn::Store(inU.high, kF, shadowHighU_ + first);
+        hn::Store(inV.low, kF, shadowLowV_ + first);
+        hn::Store(inV.high, kF, shadowHighV_ + first);
+        return bitsOf(hn::And(r.any, hn::Gt(high, hn::Set(kF, -HUGE_VALF))));
+    }
+
+    /// Blocks in which a ray may meet the patch whose shadow is number i.
+    [[nodiscard]] std::uint64_t blocksMet(int i) const {
+        const Vec lowU = hn::Set(kF, shadowLowU_[i]),
+                  highU = hn::Set(kF, shadowHighU_[i]);
+        const Vec lowV = hn::Set(kF, shadowLowV_[i]),
+                  highV = hn::Set(kF, shadowHighV_[i]);
+        std::uint64_t blocks = 0;
+        for (int b = 0; b < bundle_.blocks; b += kN) {
+            const auto inU = hn::And(hn::Ge(hn::Load(kF, endHighU_ + b), lowU),
+                                     hn::Le(hn::Load(kF, endLowU_ + b), highU));
+            const auto inV = hn::And(hn::Ge(hn::Load(kF, endHighV_ + b), lowV),
+                                     hn::Le(hn::Load(kF, endLowV_ + b), highV));
+            blocks |= std::uint64_t(bitsOf(hn::And(inU, inV))) << b;
+        }
+        return blocks & openBlocks_;
+    }
+
+    /// Receivers some of whose rays may meet the patch.
+    [[nodiscard]] std::uint32_t lanesMet(const PatchGroup& g, int i) const {
+        std::uint32_t lanes = 0;
+        for (int k = 0; k < kLanes; k += kN) {
+            const Vec u = hn::Load(kF, bundle_.u + k), v = hn::Load(kF, bundle_.v + k);
+            const Vec w = hn::Load(kF, bundle_.w + k);
+            const Reach r = reachOf(hn::Sub(hn::Set(kF, g.low[i]), w),
+                                    hn::Sub(hn::Set(kF, g.high[i]), w),
+                                    hn::Load(kF, dwLow_ + k), hn::Load(kF, dwHigh_ + k));
+            const Shadow inU = shadowOf(hn::Set(kF, g.u[i] - g.halfU[i]),
+                                        hn::Set(kF, g.u[i] + g.halfU[i]), u, u, r);
+            const Shadow inV = shadowOf(hn::Set(kF, g.v[i] - g.halfV[i]),
+                                        hn::Set(kF, g.v[i] + g.halfV[i]), v, v, r);
+            auto met = hn::And(r.any, hn::And(hn::Le(inU.low, hn::Set(kF, endsHighU_)),
+                                              hn::Ge(inU.high, hn::Set(kF, endsLowU_))));
+            met = hn::And(met, hn::And(hn::Le(inV.low, hn::Set(kF, endsHighV_)),
+                                       hn::Ge(inV.high, hn::Set(kF, endsLowV_))));
+            lanes |= bitsOf(met) << k;
+        }
+        return lanes;
+    }
+
+    void visit(const PatchGroup& g, int i, int shadow, std::uint32_t lanes) {
+        const std::uint64_t blocks = blocksMet(shadow);
+        if (blocks == 0) return;
+        if (bundle_.hasPlanes) lanes &= lanesBelow(g, i);
+        if (lanes == 0) return;
+        lanes &= lanesMet(g, i);
+        if (lanes == 0) return;
+        std::uint32_t answered = lanes;
+        if (g.childGroups[i] > 0) {
+            answered &= mayAnswer_[g.level[i]];
+            if (answered && g.sheet[i]) test<true>(g, i, blocks, answered);
+            answered &= lanesFarFrom(g, i);
+        }
+        if (answered) test<false>(g, i, blocks & openBlocks_, answered);
+        std::uint32_t rest = 0;
+        for (std::uint32_t left = lanes & ~answered & lanes_; left; left &= left - 1) {
+            const int lane = std::countr_zero(left);
+            if (rays_.open[lane] & blocks) rest |= 1u << lane;
+        }
+        if (rest) queue_.push({g.children[i], g.childGroups[i], std::uint16_t(rest)});
+    }
+
+    /// Receivers whose tangent plane some of the patch lies above.
+    [[nodiscard]] std::uint32_t lanesBelow(const PatchGroup& g, int i) const {
+        std::uint32_t lanes = 0;
+        for (int k = 0; k < kLanes; k += kN) {
+            const Vec a = hn::Load(kF, bundle_.planeU + k);
+            const Vec b = hn::Load(kF, bundle_.planeV + k);
+            const Vec c = hn::Load(kF, bundle_.planeW + k);
+            // Height at the box's centre, and how it changes along the patch's plane.
+            Vec height =
+                hn::Mul(a, hn::Sub(hn::Set(kF, g.u[i]), hn::Load(kF, bundle_.u + k)));
+            height = hn::MulAdd(
+                b, hn::Sub(hn::Set(kF, g.v[i]), hn::Load(kF, bundle_.v + k)), height);
+            height = hn::MulAdd(
+                c, hn::Sub(hn::Set(kF, g.w[i]), hn::Load(kF, bundle_.w + k)), height);
+            const Vec perU = hn::MulAdd(c, hn::Set(kF, g.gradientU[i]), a);
+            const Vec perV = hn::MulAdd(c, hn::Set(kF, g.gradientV[i]), b);
+            height = hn::MulAdd(hn::Abs(perU), hn::Set(kF, g.halfU[i]), height);
+            height = hn::MulAdd(hn::Abs(perV), hn::Set(kF, g.halfV[i]), height);
+            height = hn::MulAdd(hn::Abs(c), hn::Set(kF, g.residual[i]), height);
+            lanes |= bitsOf(hn::Gt(height, hn::Set(kF, bundle_.planeHeight))) << k;
+        }
+        return lanes;
+    }
+
+    /// Receivers so far away that the patch is as fine as their rays are dense.
+    [[nodiscard]] std::uint32_t lanesFarFrom(const PatchGroup& g, int i) const {
+        std::uint32_t lanes = 0;
+        for (int k = 0; k < kLanes; k += kN) {
+            const Vec away = hn::Sub(hn::Set(kF, g.low[i]), hn::Load(kF, bundle_.w + k));
+            const Vec dense = hn::Mul(hn::Load(kF, bundle_.spread + k), away);
+            const Vec aside =
+                hn::Mul(hn::Load(kF, bundle_.slant + k), hn::Set(kF, g.residual[i]));
+            const Vec coarse = hn::Max(aside, hn::Set(kF, g.texel[i]));
+            lanes |= bitsOf(hn::Le(coarse, dense)) << k;
+        }
+        return lanes;
+    }
+
+    // --- rays
+    // ------------------------------------------------------------------------------
+
+    static hn::Mask<Floats> maskOf(std::uint32_t bits, int i) {
+        std::uint8_t bytes[8] = {};
+        const auto part = std::uint16_t(bits >> i);
+        std::memcpy(bytes, &part, sizeof part);
+        return hn::LoadMaskBits(kF, bytes);
+    }
+
+    void close(int block, int lane) {
+        const auto inBlock = std::uint16_t(1u << lane);
+        const std::uint64_t inLane = std::uint64_t(1) << block;
+        bundle_.open[block] &= std::uint16_t(~inBlock);
+        rays_.open[lane] &= ~inLane;
+        if (bundle_.open[block] == 0) openBlocks_ &= ~inLane;
+        if (rays_.open[lane] == 0) lanes_ &= std::uint16_t(~inBlock);
+    }
+
+    /// As many rays as fill a vector: of one block, or of one receiver.
+    struct Batch {
+        Vec u, v, w, du, dv, dw, begin;
+        std::uint32_t open;
+        const std::uint8_t* threshold;
+        std::size_t thresholdStep;
+    };
+
+    /// The patch of a group as rays see it.
+    struct Seen {
+        const PatchGroup& g;
+        int i;
+        const CoverPlane* cover;
+        float cornerU, cornerV, perTexel;
+        std::uint32_t number;
+    };
+
+    /// Blocks the rays of these receivers and blocks that the patch takes. kSheet: those
+    /// that surely go through; the patch's children still count for the others.
+    template <bool kSheet>
+    void test(const PatchGroup& g, int i, std::uint64_t blocks, std::uint32_t lanes) {
+        const auto texel = float(1u << g.level[i]);
+        const float side = kTexels * texel;
+        const Seen seen{g,
+                        i,
+                        tree_.covers() + g.cover[i],
+                        std::floor(g.u[i] / side) * side,
+                        std::floor(g.v[i] / side) * side,
+                        1.0f / texel,
+                        (g.cover[i] * 0x9e3779b1u) >> 28};
+        const int vectors = (bundle_.blocks + kN - 1) / kN;
+        constexpr int parts = kLanes / kN;
+        if (std::popcount(lanes) * vectors < std::popcount(blocks) * parts)
+            testByReceiver<kSheet>(seen, blocks, lanes);
+        else
+            testByBlock<kSheet>(seen, blocks, lanes);
+    }
+
+    template <bool kSheet>
+    void testByBlock(const Seen& seen, std::uint64_t blocks, std::uint32_t lanes) {
+        for (int k = 0; k < kLanes; k += kN) {
+            Batch batch;
+            batch.u = hn::Load(kF, bundle_.u + k), batch.v = hn::Load(kF, bundle_.v + k);
+            batch.w = hn::Load(kF, bundle_.w + k);
+            batch.thresholdStep = 1;
+            for (std::uint64_t left = blocks; left; left &= left - 1) {
+                const int b = std::countr_zero(left);
+                batch.open = ((bundle_.open[b] & lanes) >> k) & ((1u << kN) - 1);
+                if (batch.open == 0) continue;
+                batch.du = hn::Load(kF, bundle_.du[b] + k);
+                batch.dv = hn::Load(kF, bundle_.dv[b] + k);
+                batch.dw = hn::Load(kF, bundle_.dw[b] + k);
+                batch.begin = hn::Load(kF, bundle_.begin[b] + k);
+                batch.threshold = bundle_.threshold[b] + k;
+                std::uint32_t hits = kSheet ? through(seen, batch) : met(seen, batch);
+                for (; hits; hits &= hits - 1)
+                    close(b, k + std::countr_zero(hits));
+            }
+        }
+    }
+
+    template <bool kSheet>
+    void testByReceiver(const Seen& seen, std::uint64_t blocks, std::uint32_t lanes) {
+        for (std::uint32_t rest = lanes & lanes_; rest; rest &= rest - 1) {
+            const int lane = std::countr_zero(rest);
+            Batch batch;
+            batch.u = hn::Set(kF, bundle_.u[lane]),
+            batch.v = hn::Set(kF, bundle_.v[lane]);
+            batch.w = hn::Set(kF, bundle_.w[lane]);
+            batch.thresholdStep = kLanes;
+            for (int b = 0; b < bundle_.blocks; b += kN) {
+                batch.open =
+                    std::uint32_t((rays_.open[lane] & blocks) >> b) & ((1u << kN) - 1);
+                if (batch.open == 0) continue;
+                batch.du = hn::Load(kF, rays_.du[lane] + b);
+                batch.dv = hn::Load(kF, rays_.dv[lane] + b);
+                batch.dw = hn::Load(kF, rays_.dw[lane] + b);
+                batch.begin = hn::Load(kF, rays_.begin[lane] + b);
+                batch.threshold = &bundle_.threshold[b][lane];
+                std::uint32_t hits = kSheet ? through(seen, batch) : met(seen, batch);
+                for (; hits; hits &= hits - 1)
+                    close(b + std::countr_zero(hits), lane);
+            }
+        }
+    }
+
+    /// The depth of the patch's plane over the starts, above them.
+    static Vec riseAt(const Seen& p, const Batch& r) {
+        const PatchGroup& g = p.g;
+        Vec rise = hn::Sub(hn::Set(kF, g.w[p.i]), r.w);
+        rise = hn::MulAdd(hn::Set(kF, g.gradientU[p.i]),
+                          hn::Sub(r.u, hn::Set(kF, g.u[p.i])), rise);
+        return hn::MulAdd(hn::Set(kF, g.gradientV[p.i]),
+                          hn::Sub(r.v, hn::Set(kF, g.v[p.i])), rise);
+    }
+    /// One over how fast the rays come nearer to the patch's plane.
+    static Vec perApproach(const Seen& p, const Batch& r) {
+        const Vec speed = hn::NegMulAdd(hn::Set(kF, p.g.gradientU[p.i]), r.du, r.dw);
+        return reciprocal(hn::NegMulAdd(hn::Set(kF, p.g.gradientV[p.i]), r.dv, speed));
+    }
+
+    /// Rays that go from below a sheet to above it within its box.
+    static std::uint32_t through(const Seen& p, const Batch& r) {
+        const Vec rise = riseAt(p, r), inverse = perApproach(p, r);
+        const Vec residual = hn::Set(kF, p.g.residual[p.i]);
+        const Vec s0 = hn::Mul(hn::Sub(rise, residual), inverse);
+        const Vec s1 = hn::Mul(hn::Add(rise, residual), inverse);
+        const Vec u0 = hn::Sub(r.u, hn::Set(kF, p.g.u[p.i]));
+        const Vec v0 = hn::Sub(r.v, hn::Set(kF, p.g.v[p.i]));
+        const Vec halfU = hn::Set(kF, p.g.halfU[p.i]),
+                  halfV = hn::Set(kF, p.g.halfV[p.i]);
+        auto hit = hn::And(hn::Gt(s0, r.begin), hn::Le(s1, hn::Set(kF, 1.0f)));
+        hit = hn::And(hit, hn::Gt(inverse, hn::Zero(kF)));
+        for (const Vec s : {s0, s1}) {
+            hit = hn::And(hit, hn::Le(hn::Abs(hn::MulAdd(r.du, s, u0)), halfU));
+            hit = hn::And(hit, hn::Le(hn::Abs(hn::MulAdd(r.dv, s, v0)), halfV));
+        }
+        return bitsOf(hit) & r.open;
+    }
+
+    /// Rays that meet the patch's plane where it is covered.
+    std::uint32_t met(const Seen& p, const Batch& r) const {
+        const Vec s = hn::Mul(riseAt(p, r), perApproach(p, r));
+        const Vec scale = hn::Set(kF, p.perTexel), step = hn::Mul(s, scale);
+        const Vec u0 = hn::Mul(hn::Sub(r.u, hn::Set(kF, p.cornerU)), scale);
+        const Vec v0 = hn::Mul(hn::Sub(r.v, hn::Set(kF, p.cornerV)), scale);
+        const Vec u = hn::MulAdd(r.du, step, u0), v = hn::MulAdd(r.dv, step, v0);
+        const Vec none = hn::Zero(kF), all = hn::Set(kF, float(kTexels));
+        auto hit = hn::And(hn::Gt(s, r.begin), hn::Le(s, hn::Set(kF, 1.0f)));
+        hit = hn::And(hit, hn::And(hn::Ge(u, none), hn::Lt(u, all)));
+        hit = hn::And(hit, hn::And(hn::Ge(v, none), hn::Lt(v, all)));
+        const std::uint32_t hits = bitsOf(hit) & r.open;
+        if (hits == 0) return 0;
+        const VecI fifteen = hn::Set(kI, kTexels - 1);
+        const VecI x = hn::And(hn::ConvertTo(kI, u), fifteen);
+        const VecI y = hn::And(hn::ConvertTo(kI, v), fifteen);
+        const VecI bit = hn::Shl(hn::Set(kI, 1), x);
+        if (!p.g.shared[p.i])
+            return hits & bitsOf(hn::Ne(hn::And(rowsAt(*p.cover, y), bit), hn::Zero(kI)));
+        return hits & sharesAbove(p, r, y, bit);
+    }
+
+    static VecI rowsAt(const CoverPlane& cover, VecI y) {
+        if constexpr (kN == kLanes) {
+            const hn::Rebind<std::uint16_t, Ints> halves;
+            const VecI rows = hn::PromoteTo(kI, hn::LoadU(halves, cover.row));
+            return hn::TableLookupLanes(rows, hn::IndicesFromVec(kI, y));
+        } else {
+            alignas(64) std::int32_t at[kN];
+            hn::Store(y, kI, at);
+            for (std::int32_t& row : at)
+                row = cover.row[row];
+            return hn::Load(kI, at);
+        }
+    }
+
+    /// Rays whose threshold lies below the share of the texel that they cross.
+    static std::uint32_t sharesAbove(const Seen& p, const Batch& r, VecI y, VecI bit) {
+        VecI share = hn::Zero(kI);
+        for (int plane = 0; plane < 4; ++plane) {
+            const auto covered =
+                hn::Ne(hn::And(rowsAt(p.cover[plane], y), bit), hn::Zero(kI));
+            share = hn::Add(share, hn::IfThenElseZero(covered, hn::Set(kI, 1 << plane)));
+        }
+        alignas(64) std::int32_t thresholds[kN];
+        for (int k = 0; k < kN; ++k)
+            thresholds[k] =
+                std::int32_t(r.threshold[std::size_t(k) * r.thresholdStep] ^ p.number);
+        const VecI threshold = hn::Load(kI, thresholds);
+        const auto full = hn::Eq(share, hn::Set(kI, 15));
+        return bitsOf(hn::Or(full, hn::Lt(threshold, share)));
+    }
+
+    static constexpr int kMostLevels = 24;
+    /// Nearer to its start than this nothing is told from the start.
+    static constexpr float kLeastS = 0x1p-20f;
+
+    const PatchTree& tree_;
+    RayBundle& bundle_;
+    std::uint64_t openBlocks_ = 0;
+    std::uint16_t lanes_ = 0;
+    std::uint16_t mayAnswer_[kMostLevels];
+    int top_ = 0;
+    struct Hull {
+        float uLow, uHigh, vLow, vHigh, wLow, wHigh, dwLow, dwHigh;
+    } hull_;
+    float endsLowU_, endsHighU_, endsLowV_, endsHighV_;
+    alignas(64) float dwLow_[kLanes], dwHigh_[kLanes];  // of each receiver
+    alignas(64) float endLowU_[kMostBlocks], endHighU_[kMostBlocks];
+    alignas(64) float endLowV_[kMostBlocks], endHighV_[kMostBlocks];
+    alignas(64) float shadowLowU_[16], shadowHighU_[16], shadowLowV_[16],
+        shadowHighV_[16];
+    Rays rays_;
+    Queue queue_;
+};
+
+void tracePatches(const PatchTree& tree, RayBundle& bundle) {
+    Traversal(tree, bundle).run();
+}
+
+}  // namespace mtsm::trace::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace mtsm::trace {
+
+HWY_EXPORT(tracePatches);
+
+void tracePatches(const PatchTree& tree, RayBundle& bundle) noexcept {
+    HWY_DYNAMIC_DISPATCH(tracePatches)(tree, bundle);
+}
+
+}  // namespace mtsm::trace
+#endif

@@ -1,0 +1,91 @@
+// patch_tree.h - the surfaces of one face of an opaque map, from whole bodies down to
+// pixels.
+//
+// A patch is a connected piece of surface within a square tile: which of the tile's 16 x
+// 16 texels it covers, the plane that it lies on in straight space (bundle.h) and how far
+// it strays from it. At level 0 a tile has 16 x 16 pixels, and with each level its sides
+// double. The children of a patch share out its samples among them, so whatever a ray
+// takes from a patch it must not take from the patch's children, and any cut through the
+// tree is the whole scene. A level 0 patch that is not flat has quarters of itself as
+// children, down to single pixels.
+//
+// Coverage. Texels of level 0 are pixels, covered or not. A texel of a coarser level
+// holds the share of its pixels that the patch covers, counted exactly and then in
+// sixteenths by ordered dither, so that no mean is off: a ray is blocked by the share,
+// against a threshold of its own.
+#pragma once
+#include <cstdint>
+#include <vector>
+
+#include "mtsm/map.h"
+
+namespace mtsm::trace {
+
+inline constexpr int kTexels = 16;  ///< per side of a patch
+
+/// Four patches that are looked at together; empty ones have high = -infinity.
+struct alignas(16) PatchGroup {
+    // Straight space, pixels and w.
+    float high[4], low[4];  ///< all of the patch's surface lies between, corners included
+    float w[4], gradientU[4], gradientV[4];  ///< plane: depth at the box's centre, slope
+    float residual[4];                       ///< largest distance from the plane, in w
+    float u[4], v[4], halfU[4], halfV[4];    ///< box: centre, half sides
+    float texel[4];  ///< side of a texel that is partly covered, pixels; 0: none is
+    std::uint32_t children[4];     ///< first group
+    std::uint32_t childGroups[4];  ///< 0: a leaf
+    std::uint32_t cover[4];        ///< first plane of its coverage
+    std::uint8_t level[4];
+    /// Four planes of coverage, the bits of a number from 0 to 15: sixteenths, 15 is all.
+    /// Else one plane: all or nothing.
+    bool shared[4];
+    bool sheet[4];  ///< one connected surface that fills the box
+};
+
+/// One bit per texel: bit x of row y.
+struct CoverPlane {
+    std::uint16_t row[kTexels];
+};
+
+class PatchTree {
+  public:
+    struct Options {
+        /// A level 0 patch is split where it strays further than this from its plane, in
+        /// pixel footprints.
+        float flatness = 0.3f;
+    };
+    /// The tree of an opaque map's face; the same for any number of threads.
+    [[nodiscard]] static PatchTree build(const ShadowMap& map, std::uint32_t face,
+                                         const Options& options);
+
+    /// Groups of one tile of a level.
+    struct Entry {
+        std::uint32_t group = 0, groups = 0;
+    };
+    struct Level {
+        std::uint32_t side = 0;  ///< of a tile, pixels
+        std::uint32_t columns = 0, rows = 0;
+        std::vector<Entry> tiles;  ///< row-major
+    };
+
+    [[nodiscard]] const std::vector<Level>& levels() const noexcept { return levels_; }
+    [[nodiscard]] const PatchGroup* groups() const noexcept { return groups_.data(); }
+    [[nodiscard]] const CoverPlane* covers() const noexcept { return covers_.data(); }
+    /// Of all patches.
+    [[nodiscard]] float lowest() const noexcept { return lowest_; }
+    [[nodiscard]] float highest() const noexcept { return highest_; }
+    [[nodiscard]] std::size_t patchCount() const noexcept { return patchCount_; }
+    [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
+
+  private:
+    friend class PatchBuilder;
+    std::vector<Level> levels_;
+    std::vector<PatchGroup> groups_;
+    std::vector<CoverPlane> covers_;
+    float lowest_ = 0.0f, highest_ = 0.0f;
+    std::size_t patchCount_ = 0;
+};
+
+/// The trees of an opaque map's faces, made when first asked for.
+[[nodiscard]] const std::vector<PatchTree>& patchTrees(const ShadowMap& map);
+
+}  // namespace mtsm::trace
