@@ -71,7 +71,7 @@ OPTIONS = {
     "bake": """--output --light-shape --light-position --light-target --light-direction --light-up
                --light-radius --light-size --light-angle --light-name --projection --fov --near --far
                --resolution --subsamples --bias --cull --layers --tolerance --resets --color
-               --keep-hidden --opacity --include --exclude --texture --hair-width --hair-tip-width --hair-opacity
+               --keep-hidden --near-field --opacity --include --exclude --texture --hair-width --hair-tip-width --hair-opacity
                --hair-scale --density-grid --density-scale --codec --level --threads --max-memory
                --quiet --json --version --help""",
     "query": """--point --normal --points --rays --position --position-layer --normal-pass
@@ -503,6 +503,7 @@ class Job(ToolTest):
             resets = 2
             color = false
             keep-hidden = true
+            near-field = "none"
             codec = "zstd"
             level = 5
             [[caster]]
