@@ -15,7 +15,7 @@ constexpr int kAxisBits = 20;                // of a cell of the Hilbert curve
 constexpr double kFinestStep = 1.0 / 256.0;  // pixels, footprints
 constexpr double kFineReach = 255.0;         // of chunks of triangles up to kFineSize
 constexpr double kFineSize = 64.0;
-constexpr double kCoarseReach = 2048.0;
+constexpr double kCoarseReach = 2047.0;
 constexpr std::size_t kPerTask = 4096;
 
 struct Box {

@@ -8,7 +8,7 @@
 //
 //   largest triangle   a chunk reaches over   its steps are at most
 //   64 footprints      255                    1/128 (u, v: 1/256)
-//   more               2048                   1/32
+//   more               2047                   1/16  (u, v: 1/32)
 //
 // A triangle that alone reaches further in w has a chunk of its own: its plane is off by
 // no more than 1/40 of a pixel's footprint nevertheless, because where depth changes so

@@ -54,7 +54,8 @@ Status bakeNearField(Visits& visits, const BakeOptions& options, const CasterKin
     }
     // Beyond the budget chunks were not made: about one slot in 16 of them stays unused.
     const bool counted = report.nearTriangles > most;
-    report.nearBytes = counted ? leastBytes(report.nearTriangles / 16 * 17) : bytes;
+    report.nearBytes =
+        counted ? leastBytes(report.nearTriangles + report.nearTriangles / 16) : bytes;
     if (report.nearBytes > budget) {
         report.noNearField = tooSmall(report.nearBytes, options, budget);
         for (MapFace& face : faces)

@@ -18,8 +18,8 @@
 
 namespace mtsm::bake_detail {
 
-/// Pixels that a triangle may reach over: 65536 steps of 1/32.
-inline constexpr double kMostPixels = 2048.0;
+/// Pixels that a triangle may reach over: fewer than 65535 steps of 1/32.
+inline constexpr double kMostPixels = 2000.0;
 /// Pixels around the window.
 inline constexpr double kMargin = 64.0;
 
