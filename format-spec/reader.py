@@ -279,16 +279,25 @@ def bits(x):
     return struct.pack("<d", x)
 
 
+def f32(x):
+    """Rounded to binary32; infinite where that is too small for it."""
+    try:
+        return struct.unpack("<f", struct.pack("<f", x))[0]
+    except OverflowError:
+        return math.inf
+
+
 # --- the file ----------------------------------------------------------------------------------
 
 MAGIC = b"\x89MTSM\r\n\x1a"
 FINISHED = b"MTSM END"
 HEADER = 32  # bytes of a block header
 TRAILER = 32
-KNOWN = {b"HEAD": 1, b"ATTR": 0, b"HIER": 1, b"TOTL": 1}  # flags
+KNOWN = {b"HEAD": 1, b"ATTR": 0, b"NEAR": 0, b"HIER": 1, b"TOTL": 1}  # flags
 MAX_SIDE = 32768
 MAX_PIXEL_LAYERS = 1 << 20
 MAX_DIRECTORY = 65536
+MAX_PART_CHUNKS = 4096
 HAS_V, HAS_N = 1, 2
 
 
@@ -406,7 +415,8 @@ class File:
         kinds = [entry[0] for entry in self.directory]
         for kind in (b"HEAD", b"HIER", b"TOTL"):
             need(kinds.count(kind) == 1, "index: not one block %r" % kind)
-        need(kinds.count(b"ATTR") <= 1, "index: more than one block ATTR")
+        for kind in (b"ATTR", b"NEAR"):
+            need(kinds.count(kind) <= 1, "index: more than one block %r" % kind)
         need(kinds[0] == b"HEAD" and self.directory[0][2] == 64,
              "index: block HEAD is not the first")
         offsets = [entry[2] for entry in self.directory]
@@ -437,8 +447,10 @@ class File:
 
     def read_directory(self):
         readers = {b"HEAD": self.read_head, b"ATTR": self.read_attributes,
-                   b"TOTL": self.read_totals, b"HIER": self.read_hierarchy}
+                   b"TOTL": self.read_totals, b"HIER": self.read_hierarchy,
+                   b"NEAR": self.read_near}
         self.out["attributes"] = []
+        self.out["nearField"] = [[] for _ in range(self.faces)]
         for kind, flags, offset, length, payload_checksum in self.directory:
             name = "block %s" % kind.decode("latin-1")
             payload = self.block(name, kind, flags, offset, length, payload_checksum)
@@ -560,6 +572,67 @@ class File:
                 self.hierarchy.append([c.fields("ff") for _ in range(w * h)])
                 w, h = (w + 1) // 2, (h + 1) // 2
         c.end()
+
+    # S 7.2
+    def read_near(self, c):
+        faces, part_chunks = c.fields("II")
+        need(faces == self.faces, "%s: %d faces" % (c.what, faces))
+        need(1 <= part_chunks <= MAX_PART_CHUNKS,
+             "%s: parts of %d chunks" % (c.what, part_chunks))
+        chunks = [c.fields("Q") for _ in range(faces)]
+        need(sum(chunks) * 312 <= self.max_bytes, "more chunks than --max-bytes allows")
+        parts = [(face, min(part_chunks, chunks[face] - first))
+                 for face in range(faces) for first in range(0, chunks[face], part_chunks)]
+        records = [c.fields("II") for _ in parts]
+        for i, ((face, n), (points, stored)) in enumerate(zip(parts, records)):
+            part = Cursor(c.bytes(stored), "%s, part %d" % (c.what, i))
+            need(n <= points <= 48 * n, "%s: %d points" % (part.what, points))
+            size = 72 * n + 6 * points
+            need(1 <= stored <= size, "%s: stores %d bytes" % (part.what, stored))
+            if stored < size:
+                try:
+                    part.data = decompress(part.data, size)
+                except Bad as error:
+                    raise Bad("%s: %s" % (part.what, error))
+            self.out["nearField"][face] += self.read_near_part(part, n, points)
+        c.end()
+
+    @staticmethod
+    def read_near_part(part, n, points):
+        """A list of chunks, each low, step and q as [corner][axis][triangle]."""
+        def shuffled(count, size, form):
+            data = part.bytes(count * size)
+            return struct.unpack("<%d%s" % (count, form), bytes(
+                data[j * count + i] for i in range(count) for j in range(size)))
+
+        floats = shuffled(6 * n, 4, "f")
+        ago = part.bytes(48 * n)
+        residuals = shuffled(3 * points, 2, "H")
+        part.end()
+        chunks, at = [], 0
+        for k in range(n):
+            low, step = floats[k:3 * n:n], floats[3 * n + k::n]
+            # What 65535 steps come to, rounded as S 7.2 has it; beyond f32 is infinite.
+            for a, b in zip(low, step):
+                need(math.isfinite(a) and 0 <= b and f32(a + f32(65535 * b)) < math.inf,
+                     "%s: chunk %d: low %r, step %r" % (part.what, k, a, b))
+            known = []
+            q = [[[0] * 16 for _ in range(3)] for _ in range(3)]
+            for i in range(48):
+                back = ago[48 * k + i]
+                need(back <= len(known) and (back or at < points),
+                     "%s: chunk %d: corner %d names no point" % (part.what, k, i))
+                if back == 0:
+                    before = known[-1] if known else (0, 0, 0)
+                    new = [residuals[axis * points + at] for axis in range(3)]
+                    new = [r // 2 if r % 2 == 0 else -(r + 1) // 2 for r in new]
+                    known.append([(g + d) % 65536 for g, d in zip(before, new)])
+                    at, back = at + 1, 1
+                for axis in range(3):
+                    q[i % 3][axis][i // 3] = known[-back][axis]
+            chunks.append(dict(low=low, step=step, corner=q))
+        need(at == points, "%s: points that no corner names" % part.what)
+        return chunks
 
     # S 6
     def tile_place(self, i):

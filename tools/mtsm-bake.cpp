@@ -87,7 +87,7 @@ struct Arguments {
     PlacementOptions placement;
     std::string resolution = "1024";
     std::int64_t layers = 0, subsamples = 1;  // layers 0: not given
-    std::string resets = "all";
+    std::string resets = "all", nearField = "none";
     std::optional<double> bias, tolerance, opacity;
     std::optional<double> hairWidth, hairTipWidth, hairOpacity, hairScale, densityScale;
     std::string densityGrid;
@@ -111,6 +111,12 @@ std::uint32_t parseResets(const std::string& text) {
         throw UsageError("--resets: found \"" + text +
                          "\", expected a whole number of at least 0, or all");
     return resets;
+}
+
+std::uint64_t parseNearField(const std::string& text) {
+    if (text == "none") return 0;
+    if (text == "auto") return kAutomaticNearField;
+    return parseBytes("--near-field", text);
 }
 
 std::uint64_t maxBytesOf(const std::string& text) {
@@ -192,6 +198,12 @@ void addLayerOptions(CLI::App& app, Arguments& a) {
         ->group(group);
     app.add_flag("--keep-hidden", a.keepHidden,
                  "keep layers that no point of the light can see")
+        ->group(group);
+    addChecked(app, "--near-field", a.nearField, "auto|none|SIZE", parseNearField,
+               "keep the triangles themselves as well, for exact\n"
+               "shadows next to what casts them, if they take at\n"
+               "most SIZE in memory: 32M; auto: 64M (default: none);\n"
+               "only of casters that are all opaque triangles")
         ->group(group);
 }
 
@@ -416,6 +428,7 @@ BakeOptions bakeOptions(const Arguments& a, const CLI::App& app, const Input& in
     bake.subsamples = std::uint32_t(a.subsamples);
     bake.color = a.color;
     bake.keepHidden = a.keepHidden;
+    bake.nearField = parseNearField(a.nearField);
     if (a.bias) bake.bias = float(*a.bias);
     bake.settings = settingsText(app, input);
     bake.progress = [&talk](const char* stage, double fraction) {
@@ -489,8 +502,24 @@ void sayWhatWasRead(Talk& talk, const BakeReport& r) {
             "--fov, --near, --far and where the light looks");
 }
 
+/// What came of --near-field. That auto keeps none is no reason to worry.
+void sayNearField(Talk& talk, const BakeReport& r, const Arguments& a) {
+    if (r.noNearField.empty()) {
+        if (r.nearBytes)
+            talk.say("near field: " + counted(r.nearTriangles, "triangle", "triangles") +
+                     ", " + bytesText(r.nearBytes) + " in memory, in " +
+                     secondsText(r.nearSeconds));
+        return;
+    }
+    const std::string text = "no near field: " + r.noNearField;
+    if (a.nearField == "auto")
+        talk.say(text);
+    else
+        talk.warn(text);
+}
+
 /// The settings that lost or saved layers, and what.
-void sayWhatWasKept(Talk& talk, const Baked& baked) {
+void sayWhatWasKept(Talk& talk, const Baked& baked, const Arguments& a) {
     const BakeReport& r = baked.report;
     const MapInfo& info = baked.map.info();
     const std::string size =
@@ -520,6 +549,7 @@ void sayWhatWasKept(Talk& talk, const Baked& baked) {
         talk.warn("in " + counted(r.pixelsOverTolerance, "pixel", "pixels") +
                   " the limit of " + std::to_string(info.maxLayers) +
                   " layers took more than the tolerance allows: raise --layers");
+    sayNearField(talk, r, a);
     if (baked.map.layerCount() == 0)
         talk.warn(
             "the map is empty: nothing that casts covers a pixel's centre as the light "
@@ -530,7 +560,7 @@ void say(Talk& talk, const Baked& baked, const Arguments& a, std::uint64_t fileB
          Timing timing) {
     talk.say("light: " + lightText(baked.map.info().light));
     sayWhatWasRead(talk, baked.report);
-    sayWhatWasKept(talk, baked);
+    sayWhatWasKept(talk, baked, a);
     talk.say("wrote " + a.output + ": " + bytesText(fileBytes) + " in " +
              secondsText(timing.write) + " (" + secondsText(timing.total) +
              " in all, at most " + bytesText(peakMemory()) + " of memory)");
@@ -568,13 +598,15 @@ nlohmann::ordered_json reportJson(const Baked& baked, const Arguments& a,
                     {"degenerate", r.degenerate}, {"nonFinite", r.nonFinite},
                     {"culled", r.culled},         {"transparent", r.transparent},
                     {"outside", r.outside},       {"clipped", r.clipped}};
+    j["nearField"] = {{"kept", r.nearBytes > 0 && r.noNearField.empty()},
+                      {"triangles", r.nearTriangles},
+                      {"bytes", r.nearBytes},
+                      {"reason", r.noNearField}};
     j["passes"] = r.passes;
     j["peakMemory"] = peakMemory();
-    j["seconds"] = {{"read", r.readSeconds},
-                    {"raster", r.rasterSeconds},
-                    {"compress", r.compressSeconds},
-                    {"write", timing.write},
-                    {"total", timing.total}};
+    j["seconds"] = {{"read", r.readSeconds},         {"raster", r.rasterSeconds},
+                    {"compress", r.compressSeconds}, {"nearField", r.nearSeconds},
+                    {"write", timing.write},         {"total", timing.total}};
     return j;
 }
 

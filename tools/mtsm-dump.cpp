@@ -164,6 +164,9 @@ ordered_json summaryJson(const Arguments& a, const Description& d, const ShadowM
     j["emptyTiles"] = d.emptyTiles;
     j["opaqueTiles"] = d.opaqueTiles;
     j["translucentTiles"] = translucentTiles(d);
+    j["nearField"] = {{"triangles", d.nearTriangles},
+                      {"chunks", d.nearChunks},
+                      {"memoryBytes", d.nearBytes}};
     j["memoryBytes"] = map.memoryBytes();
     j["blocks"] = ordered_json::array();
     for (const Description::Block& b : d.blocks)
@@ -286,6 +289,10 @@ void byteRows(Rows& rows, const ShadowMap& map, const Description& d) {
                                  " bytes per layer"
                            : ""));
     rows.row("in memory", bytesText(map.memoryBytes()));
+    if (d.nearChunks)
+        rows.row("near field", counted(d.nearTriangles, "triangle") + " in " +
+                                   counted(d.nearChunks, "chunk") + ", " +
+                                   bytesText(d.nearBytes) + " in memory");
     for (const Description::Plane& p : d.planes) {
         if (p.planes)
             rows.row("plane " + p.name, share(p.storedBytes, d.fileBytes, bytesText) +

@@ -8,6 +8,7 @@
 #include <new>
 
 #include "bake/face.h"
+#include "bake/near_field.h"
 #include "bake/placement.h"
 #include "bake/visits.h"
 #include "base/message.h"
@@ -159,7 +160,7 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
         if (!options.cube) {
             if (auto s = checkOutside(*face, info, report); !s) return s.error();
         }
-        faces.push_back({projection, std::move(face->tiles)});
+        faces.push_back({projection, std::move(face->tiles), {}});
         if (!options.keepHidden && !options.cube) {
             if (auto s = progress("dropping what no light sees", -1.0); !s)
                 return s.error();
@@ -171,6 +172,10 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
         if (bytes >= settings.bytesLeft) return tooLarge(options);
         settings.bytesLeft -= bytes;
     }
+    if (auto s = bake_detail::bakeNearField(visits, options, *kinds, settings.bytesLeft,
+                                            faces, report);
+        !s)
+        return s.error();
     report.readSeconds = visits.readSeconds();
     if (report.droppedHidden > 0)
         info.attributes.push_back({"hiddenLayers", std::int64_t(report.droppedHidden)});

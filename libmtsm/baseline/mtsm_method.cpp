@@ -42,6 +42,7 @@ Result<std::unique_ptr<Method>> build(const MethodScene& scene,
         options.layers = std::uint32_t(layers);
     options.tolerance = float(settings.number("tolerance"));
     options.subsamples = std::uint32_t(settings.whole("subsamples"));
+    options.nearField = settings.word("near") == "auto" ? kAutomaticNearField : 0;
     auto baked = bake(scene.casters, options);
     if (!baked) return baked.error();
     return std::unique_ptr<Method>(new MtsmMethod(std::move(baked->map)));
@@ -66,6 +67,8 @@ MethodInfo mtsmMethod() {
         numberSetting("bias", -1.0, -1.0, 1e9,
                       "z threshold of the map, world units; -1: as mtsm-bake",
                       SettingUse::build),
+        wordSetting("near", {"none", "auto"}, "the casters' triangles beside the layers",
+                    SettingUse::build),
         wholeSetting("samples", 256, 1, kMaxSamples, "rays per point"),
         numberSetting("query-bias", -1.0, -1.0, 1e9,
                       "z threshold of the query, world units; -1: the map's own"),

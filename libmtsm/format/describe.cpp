@@ -92,6 +92,15 @@ void describePixels(const ShadowMap& map, Description& d) {
     d.mostLayers = static_cast<std::uint32_t>(d.layerHistogram.size() - 1);
 }
 
+void describeNearField(const ShadowMap& map, Description& d) {
+    for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
+        const NearField& field = map.nearField(face);
+        d.nearTriangles += field.triangles();
+        d.nearChunks += field.chunks.size();
+        d.nearBytes += nearFieldBytes(field.chunks.size());
+    }
+}
+
 Result<Description> describeFile(const std::string& path, const ReadLimits& limits) {
     const auto source = openFile(path);
     if (!source) return source.error();
@@ -113,6 +122,7 @@ Result<Description> describeFile(const std::string& path, const ReadLimits& limi
     }
     describeBlocks(facts, d);
     describePixels(*map, d);
+    describeNearField(*map, d);
     return d;
 }
 

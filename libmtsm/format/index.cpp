@@ -211,7 +211,8 @@ Result<Index> splitIndex(BytesView payload, const Prefix& prefix) {
 }
 
 bool isKnown(BlockType type) {
-    return type == kHead || type == kAttr || type == kHier || type == kTotl;
+    return type == kHead || type == kAttr || type == kNear || type == kHier ||
+           type == kTotl;
 }
 
 Status checkDirectory(const Index& index, const Prefix& prefix, std::uint64_t indexOffset,
@@ -238,15 +239,18 @@ Status checkDirectory(const Index& index, const Prefix& prefix, std::uint64_t in
                              kVersionMajor, ".", kVersionMinor,
                              ": a newer libmtsm is needed");
         }
-        if ((e.flags == kCritical) != (e.type != kAttr))
+        if ((e.flags == kCritical) != (e.type != kAttr && e.type != kNear))
             return bad(at, "flags ", e.flags, " are not those of its type");
-        if (e.type != kHier) texts += e.length;
+        if (e.type != kHier && e.type != kNear) texts += e.length;
     }
     for (BlockType type : {kHead, kHier, kTotl}) {
         if (named(type) != 1)
             return bad(named(type), " blocks ", text(type), ", there must be one");
     }
-    if (named(kAttr) > 1) return bad(named(kAttr), " blocks ATTR, there may be one");
+    for (BlockType type : {kAttr, kNear}) {
+        if (named(type) > 1)
+            return bad(named(type), " blocks ", text(type), ", there may be one");
+    }
     if (index.blocks.front().type != kHead ||
         index.blocks.front().offset != sizeof(Prefix))
         return bad("block HEAD is not the first");
@@ -338,7 +342,11 @@ Result<Index> decodeIndex(BytesView payload, const Prefix& prefix,
         if (memory > limits.maxBytes) return overMemory(memory, limits);
     }
     memory += workBytes(*index, grid);
+    for (const DirectoryEntry& entry : index->blocks) {
+        if (entry.type == kNear && limits.nearField) memory += blockSpan(entry.length);
+    }
     if (memory > limits.maxBytes) return overMemory(memory, limits);
+    index->memory = memory;
     if (auto s = checkCoverage(*index, grid, indexOffset); !s) return s.error();
     return index;
 }

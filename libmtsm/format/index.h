@@ -12,6 +12,7 @@ namespace mtsm::format {
 struct Index {
     std::vector<DirectoryEntry> blocks;  ///< neither TILE nor INDX, in the file's order
     std::vector<TileEntry> tiles;        ///< [face][ty][tx]
+    std::uint64_t memory = 0;  ///< bytes granted for all but what NEAR holds; not stored
 };
 
 /// Tiles of a map, from its prefix alone.

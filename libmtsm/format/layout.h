@@ -1,6 +1,6 @@
 // layout.h - every field, constant and limit of the MTSM file format 1.0, and no logic.
 //
-//     prefix | HEAD [ATTR] TILE... HIER TOTL INDX | trailer
+//     prefix | HEAD [ATTR] TILE... [NEAR] HIER TOTL INDX | trailer
 //
 // What the fields mean and what a reader checks is said in format-spec/mtsm-format.md;
 // the names here are the names there. All numbers are little-endian, all floats IEEE 754.
@@ -60,6 +60,7 @@ using BlockType = std::array<char, 4>;
 inline constexpr BlockType kHead = {'H', 'E', 'A', 'D'};  ///< what the numbers mean
 inline constexpr BlockType kAttr = {'A', 'T', 'T', 'R'};  ///< free attributes
 inline constexpr BlockType kTile = {'T', 'I', 'L', 'E'};  ///< the layers of one tile
+inline constexpr BlockType kNear = {'N', 'E', 'A', 'R'};  ///< triangles beside the layers
 inline constexpr BlockType kHier = {'H', 'I', 'E', 'R'};  ///< min/max z above the tiles
 inline constexpr BlockType kTotl = {'T', 'O', 'T', 'L'};  ///< what is known at the end
 inline constexpr BlockType kIndx = {'I', 'N', 'D', 'X'};  ///< where everything lies
@@ -190,6 +191,25 @@ struct DepthRange {
     float max;  ///< -infinity if there is no layer
 };
 static_assert(sizeof(DepthRange) == 8);
+
+// --- NEAR
+// ----------------------------------------------------------------------------------
+
+inline constexpr std::uint32_t kMaxPartChunks = 4096;
+
+/// Start of the payload. A u64 per face follows, its number of chunks; then NearPart x
+/// parts; then the parts' bytes.
+struct NearFixed {
+    std::uint32_t faces;
+    std::uint32_t partChunks;  ///< 1..kMaxPartChunks; only a face's last part has fewer
+};
+static_assert(sizeof(NearFixed) == 8);
+
+struct NearPart {
+    std::uint32_t points;  ///< different corners, counted by chunk
+    std::uint32_t storedLength;
+};
+static_assert(sizeof(NearPart) == 8);
 
 // --- TOTL
 // ----------------------------------------------------------------------------------

@@ -7,17 +7,20 @@
 #include <tbb/enumerable_thread_specific.h>
 
 #include <algorithm>
-#include <atomic>
 #include <mutex>
+#include <optional>
 
 #include "base/bytes.h"
 #include "base/checksum.h"
 #include "base/message.h"
 #include "base/parallel.h"
 #include "format/bad_file.h"
+#include "format/first_error.h"
+#include "format/frame.h"
 #include "format/guard.h"
 #include "format/hierarchy.h"
 #include "format/map_file.h"
+#include "format/near_block.h"
 
 namespace mtsm {
 namespace format {
@@ -153,10 +156,14 @@ struct Frame {
     std::uint64_t hierarchyOffset = 0, totalsOffset = 0;
 };
 
+/// `nearBytes`: that a near field may take; none if nobody wants one.
 Status readDirectoryBlock(const Source& source, const Prefix& prefix,
-                          const DirectoryEntry& entry, Bytes& buffer, Frame& frame) {
+                          const DirectoryEntry& entry,
+                          std::optional<std::uint64_t> nearBytes, Bytes& buffer,
+                          Frame& frame) {
+    const bool wanted = entry.type == kNear && nearBytes.has_value();
     if (entry.type != kHead && entry.type != kAttr && entry.type != kTotl &&
-        entry.type != kHier)
+        entry.type != kHier && !wanted)
         return checkUnknownBlock(source, entry);
     const Result<BytesView> payload = readBlock(source, entry, buffer);
     if (!payload) return payload.error();
@@ -165,6 +172,8 @@ Status readDirectoryBlock(const Source& source, const Prefix& prefix,
         auto attributes = decodeAttributes(*payload, prefix);
         if (!attributes) return attributes.error();
         frame.info.attributes = *std::move(attributes);
+    } else if (entry.type == kNear) {
+        return decodeNear(*payload, *nearBytes, frame.faces);
     } else if (entry.type == kTotl) {
         const auto totals = decodeTotals(*payload, prefix, frame.info);
         if (!totals) return totals.error();
@@ -179,27 +188,6 @@ Status readDirectoryBlock(const Source& source, const Prefix& prefix,
 
 // --- tiles
 // ---------------------------------------------------------------------------------
-
-/// The error of the first bad item, whatever order threads find them in.
-class FirstError {
-  public:
-    /// Items behind a bad one need not be looked at.
-    [[nodiscard]] bool isBehind(std::uint64_t item) const noexcept {
-        return item > first_.load(std::memory_order_relaxed);
-    }
-    void add(std::uint64_t item, Error error) {
-        const std::lock_guard lock(mutex_);
-        if (item >= first_.load(std::memory_order_relaxed)) return;
-        first_.store(item, std::memory_order_relaxed);
-        status_ = std::move(error);
-    }
-    [[nodiscard]] Status status() const { return status_; }
-
-  private:
-    std::mutex mutex_;
-    std::atomic<std::uint64_t> first_{~std::uint64_t(0)};
-    Status status_;
-};
 
 void count(const std::vector<PlaneRecord>& records, FileFacts& facts) {
     for (const PlaneRecord& r : records) {
@@ -282,8 +270,11 @@ Result<ShadowMap> readContent(const Source& source, const Prefix& prefix,
     for (MapFace& face : frame.faces)
         face.tiles.resize(std::size_t(grid.tilesX) * grid.tilesY);
     Bytes buffer;
+    std::optional<std::uint64_t> nearBytes;
+    if (limits.nearField) nearBytes = limits.maxBytes - index->memory;
     for (const DirectoryEntry& entry : index->blocks) {
-        if (auto s = readDirectoryBlock(source, prefix, entry, buffer, frame); !s)
+        if (auto s = readDirectoryBlock(source, prefix, entry, nearBytes, buffer, frame);
+            !s)
             return located(s.error(), name, ": ", blockName(entry.type, entry.offset));
     }
     if (auto s = readTiles(source, prefix, *index, frame.faces, facts); !s)

@@ -1,25 +1,17 @@
 #include "format/tile_decode.h"
 
-#include <zstd.h>
-
 #include <algorithm>
 #include <bit>
 #include <cstring>
-#include <new>
 
 #include "base/bytes.h"
 #include "base/message.h"
 #include "format/bad_file.h"
+#include "format/frame.h"
 #include "format/gradient.h"
 
 namespace mtsm::format {
 namespace {
-
-using base::makeError;
-
-struct FreeContext {
-    void operator()(ZSTD_DCtx* context) const { ZSTD_freeDCtx(context); }
-};
 
 /// What the plane at one position of the payload has to be.
 struct PlaneSlot {
@@ -120,10 +112,7 @@ std::uint64_t scratchBytes(const TileFacts& facts) noexcept {
 }
 
 struct TileDecoder::Scratch {
-    Scratch() {
-        if (!context) throw std::bad_alloc();
-    }
-    std::unique_ptr<ZSTD_DCtx, FreeContext> context{ZSTD_createDCtx()};
+    FrameDecoder frames;
     std::vector<PlaneRecord> records;
     Bytes decoded;
     std::vector<std::uint32_t> counts;
@@ -136,7 +125,6 @@ struct TileDecoder::Scratch {
                        std::vector<T>& to);
     Status readPlane(const PlaneRecord& r, BytesView stored,
                      std::span<const std::uint32_t> begin, std::uint32_t width);
-    Status decompress(BytesView frame, std::uint64_t decodedLength);
     void unpredict(std::span<const std::uint32_t> begin, std::uint32_t width);
 };
 
@@ -146,24 +134,6 @@ TileDecoder::TileDecoder(TileDecoder&&) noexcept = default;
 
 const std::vector<PlaneRecord>& TileDecoder::records() const noexcept {
     return scratch_->records;
-}
-
-/// Exactly one frame, that states exactly this content size, into `decoded`.
-Status TileDecoder::Scratch::decompress(BytesView frame, std::uint64_t decodedLength) {
-    const auto content = ZSTD_getFrameContentSize(frame.data(), frame.size());
-    if (content == ZSTD_CONTENTSIZE_ERROR || content == ZSTD_CONTENTSIZE_UNKNOWN)
-        return bad("no zstd frame that states its content size");
-    if (content != decodedLength)
-        return bad("a zstd frame of ", content, " bytes, not ", decodedLength);
-    if (ZSTD_findFrameCompressedSize(frame.data(), frame.size()) != frame.size())
-        return bad("more or less than one zstd frame");
-    reuse(decoded, decodedLength);
-    const std::size_t got = ZSTD_decompressDCtx(
-        context.get(), decoded.data(), decoded.size(), frame.data(), frame.size());
-    if (ZSTD_isError(got)) return bad("zstd: ", ZSTD_getErrorName(got));
-    if (got != decodedLength)
-        return bad("zstd gave ", got, " bytes, not ", decodedLength);
-    return {};
 }
 
 /// Undoes the gradient filter in place: a layer's neighbours are all done before it.
@@ -185,7 +155,7 @@ Status TileDecoder::Scratch::readPlane(const PlaneRecord& r, BytesView stored,
     const std::size_t n = r.decodedLength / size;
     BytesView bytes = stored;
     if (PlaneEncoding(r.encoding) == PlaneEncoding::zstd) {
-        if (auto s = decompress(stored, r.decodedLength); !s) return s;
+        if (auto s = frames.decode(stored, r.decodedLength, decoded); !s) return s;
         bytes = decoded;
     }
     // Byte j of element i lies at i * size + j, or shuffled at j * n + i.

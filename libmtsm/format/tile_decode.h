@@ -24,14 +24,6 @@ struct TileFacts {
 /// Bytes that a TileDecoder takes beside the tile that comes out.
 [[nodiscard]] std::uint64_t scratchBytes(const TileFacts& facts) noexcept;
 
-/// Resizes memory that is used again and again: its content is lost, and no more than
-/// `size` elements are ever held for its sake.
-template <typename T>
-void reuse(std::vector<T>& scratch, std::size_t size) {
-    if (scratch.capacity() < size) scratch = std::vector<T>();
-    scratch.resize(size);
-}
-
 /// Decodes tiles one after another with the same scratch memory; one per thread.
 class TileDecoder {
   public:

@@ -18,6 +18,7 @@
 #include "format/hierarchy.h"
 #include "format/index.h"
 #include "format/layout.h"
+#include "format/near_block.h"
 #include "format/sink.h"
 #include "format/tile_encode.h"
 
@@ -78,6 +79,10 @@ class MapWriter {
             if (auto s = putBlock(kAttr, 0, *attributes); !s) return s;
         }
         if (auto s = putTiles(); !s) return s;
+        if (hasNearField(map_)) {
+            const Bytes near = encodeNear(map_, options_.codec, options_.level);
+            if (auto s = putBlock(kNear, 0, near); !s) return s;
+        }
         if (auto s = putBlock(kHier, kCritical, encodeHierarchy(map_)); !s) return s;
         if (auto s = putBlock(kTotl, kCritical, encodeTotals(map_)); !s) return s;
 

@@ -11,6 +11,7 @@
 #include "base/lazy.h"
 #include "base/message.h"
 #include "base/parallel.h"
+#include "map/near_boxes.h"
 #include "mtsm/map.h"
 
 namespace mtsm {
@@ -74,6 +75,8 @@ Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
     }
     map.buildHierarchy();
     map.queryData_ = std::make_shared<base::Lazy>();
+    for (MapFace& face : map.faces_)
+        map_detail::buildBoxes(face.nearField);
     return map;
 }
 
@@ -119,6 +122,7 @@ Status ShadowMap::checkShape() const {
         if (faces_[face].tiles.size() != tilesX * tilesY)
             return invalid("face ", face, ": ", faces_[face].tiles.size(), " tiles, not ",
                            tilesX, " x ", tilesY);
+        if (auto s = map_detail::checkChunks(faces_[face].nearField, face); !s) return s;
     }
     return {};
 }
@@ -281,6 +285,7 @@ std::uint64_t ShadowMap::memoryBytes() const noexcept {
             bytes += sizeof(Tile) +
                      4 * (t.begin.size() + t.z.size() + t.v.size() + t.n.size());
         }
+        bytes += nearFieldBytes(face.nearField.chunks.size());
     }
     for (const auto& face : hierarchy_) {
         for (const Level& level : face)
@@ -366,7 +371,9 @@ bool same(const PixelLayers& a, const PixelLayers& b, std::uint32_t channels) {
 bool identical(const ShadowMap& a, const ShadowMap& b) noexcept {
     if (!same(a.info(), b.info()) || a.faceCount() != b.faceCount()) return false;
     for (std::uint32_t face = 0; face < a.faceCount(); ++face) {
-        if (!same(a.projection(face), b.projection(face))) return false;
+        if (!same(a.projection(face), b.projection(face)) ||
+            !map_detail::sameChunks(a.nearField(face), b.nearField(face)))
+            return false;
         for (std::uint32_t y = 0; y < a.info().height; ++y) {
             for (std::uint32_t x = 0; x < a.info().width; ++x) {
                 if (!same(a.pixel(face, x, y), b.pixel(face, x, y), a.info().channels))

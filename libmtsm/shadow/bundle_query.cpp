@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "base/sampling.h"
+#include "trace/near_trace.h"
 #include "trace/patch_trace.h"
 
 namespace mtsm::shadow {
@@ -14,6 +15,14 @@ namespace {
 /// are left to the scalar trace.
 constexpr double kFarthestOutside = 8.0;
 
+/// The near field answers for so many pixel footprints of depth.
+constexpr double kNearDepth = 16.0;
+/// Its triangles are the receiver's own no higher than this above its tangent plane, in
+/// pixel footprints: they lie on a grid of 1/256 of one, mostly.
+constexpr double kNearHeight = 0.02;
+/// Without normals: rays start this much nearer to the receiver.
+constexpr double kNearStart = 0.1;
+
 LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
                  const ShadowOptions& options, bool normals) {
     LightRays::Setting setting;
@@ -22,6 +31,11 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
     setting.normals = normals;
     setting.weights = normals && options.weight == Weight::cosine;
     setting.height = kPlaneHeight;
+    if (!map.nearField(0).empty()) {
+        setting.nearDepth = getenv("NPX") ? atof(getenv("NPX")) : kNearDepth;
+        setting.nearHeight = getenv("NH") ? atof(getenv("NH")) : kNearHeight;
+        setting.nearStart = kNearStart;
+    }
     return LightRays(map.projection(0), map.info().width, map.info().height,
                      map.zRange(0), light, setting);
 }
@@ -133,6 +147,17 @@ void BundleQuery::setLane(const Receiver& receiver, int lane,
     lanes.key[lane] = std::uint32_t(base::pointKey(receiver.point, options_.seed));
 }
 
+/// What is close to the receivers, as exactly as the casters were given; leaves the
+/// bundle with the layers' part of the rays.
+void BundleQuery::traceNear(trace::RayBundle& bundle,
+                            const RayFates& fates) const noexcept {
+    std::uint16_t asked[trace::kMostBlocks];
+    std::copy_n(bundle.open, bundle.blocks, asked);
+    trace::traceNear(map_.nearField(0), bundle, fates.nearEnd, asked);
+    for (int b = 0; b < bundle.blocks; ++b)
+        std::copy_n(fates.layersBegin[b], trace::kLanes, bundle.begin[b]);
+}
+
 void BundleQuery::shadowFactors(const Receiver* receivers, int count, float* out,
                                 QueryStats& stats) const noexcept {
     using Layout = LightRays::Layout;
@@ -158,6 +183,7 @@ void BundleQuery::shadowFactors(const Receiver* receivers, int count, float* out
             addLanes(counted, above, kOnes);
             addLanes(counted, total, fates.weight[b]);
         }
+        if (!map_.nearField(0).empty()) traceNear(bundle, fates);
         trace::tracePatches(tree_, bundle);
         for (int b = 0; b < bundle.blocks; ++b)
             addLanes(std::uint16_t(bundle.open[b] | fates.clear[b]), visible,

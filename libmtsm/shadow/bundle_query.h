@@ -41,6 +41,8 @@ class BundleQuery {
   private:
     void setLane(const Receiver& receiver, int lane, ReceiverLanes& lanes) const noexcept;
 
+    void traceNear(trace::RayBundle& bundle, const RayFates& fates) const noexcept;
+
     const ShadowMap& map_;
     const Projection& projection_;
     light::LightSampler light_;

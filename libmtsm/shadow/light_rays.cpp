@@ -275,14 +275,27 @@ class LanesFill {
         hn::Store(hn::Sub(to.y, start_.y), kF, bundle_.dv[b] + lane_);
         hn::Store(hn::Sub(to.z, start_.z), kF, bundle_.dw[b] + lane_);
         MaskF above = hn::Gt(one, zero);
-        Vec begin;
+        Vec begin, nearBegin;
         if (in_.normals) {
             above = hn::Gt(dot(delta, normal_), zero);
-            begin = fromPlane(b);
+            const Vec rise = planeRise(b);
+            begin = fromPlane(rise, view_.planeHeight);
+            nearBegin = fromPlane(rise, view_.nearHeight);
         } else {
-            begin = fromStart(delta, end, last.z);
+            const Vec start = hn::Load(kF, in_.at.start + lane_);
+            begin = fromStart(delta, end, last.z, start);
+            nearBegin =
+                fromStart(delta, end, last.z, hn::Mul(start, constant(view_.nearStart)));
         }
-        hn::Store(hn::Max(begin, constant(0x1p-40f)), kF, bundle_.begin[b] + lane_);
+        const Vec least = constant(0x1p-40f);
+        if (view_.near) {
+            const Vec nearEnd = endOfNear(b);
+            hn::Store(nearEnd, kF, fates_.nearEnd[b] + lane_);
+            hn::Store(hn::Max(hn::Max(begin, least), nearEnd), kF,
+                      fates_.layersBegin[b] + lane_);
+            begin = nearBegin;
+        }
+        hn::Store(hn::Max(begin, least), kF, bundle_.begin[b] + lane_);
         clear = hn::Or(clear, hn::Not(hn::Lt(begin, one)));
         const std::uint32_t counts = bitsOf(above), clears = bitsOf(clear) & counts;
         fates_.clear[b] |= std::uint16_t(clears << lane_);
@@ -306,21 +319,22 @@ class LanesFill {
         inside(view_.scaleV, view_.offsetV, view_.height, position_.y, delta.y);
     }
 
-    /// s from which on the ray is high enough above the tangent plane.
-    Vec fromPlane(int b) const {
+    /// How fast a ray rises above the tangent plane, in s.
+    Vec planeRise(int b) const {
         const auto at = [&](const float* p) { return hn::Load(kF, p + lane_); };
         Vec rise = hn::Mul(at(bundle_.planeU), at(bundle_.du[b]));
         rise = hn::MulAdd(at(bundle_.planeV), at(bundle_.dv[b]), rise);
-        rise = hn::MulAdd(at(bundle_.planeW), at(bundle_.dw[b]), rise);
+        return hn::MulAdd(at(bundle_.planeW), at(bundle_.dw[b]), rise);
+    }
+    /// s from which on the ray is high enough above it.
+    static Vec fromPlane(Vec rise, float height) {
         const MaskF rises = hn::Gt(rise, hn::Zero(kF));
-        const Vec s = hn::Div(constant(view_.planeHeight), rise);
-        return hn::IfThenElse(rises, s, constant(1.0f));
+        return hn::IfThenElse(rises, hn::Div(constant(height), rise), constant(1.0f));
     }
 
     /// s at a distance from the receiver.
-    Vec fromStart(Vec3 delta, Vec end, Vec lastZ) const {
-        const Vec length = hn::Sqrt(dot(delta, delta));
-        const Vec t = hn::Div(hn::Load(kF, in_.at.start + lane_), length);
+    Vec fromStart(Vec3 delta, Vec end, Vec lastZ, Vec distance) const {
+        const Vec t = hn::Div(distance, hn::Sqrt(dot(delta, delta)));
         const Vec share = hn::Div(t, end);
         if (!view_.perspective) return share;
         const Vec z = hn::MulAdd(t, delta.z, position_.z);
@@ -328,6 +342,14 @@ class LanesFill {
         return hn::IfThenElse(
             hn::And(hn::Gt(z, hn::Zero(kF)), hn::Lt(share, constant(1.0f))), s,
             constant(1.0f));
+    }
+
+    /// s at which the ray leaves the depths that the near field answers for.
+    Vec endOfNear(int b) const {
+        const Vec depth = hn::MulAdd(constant(view_.nearPerW), hn::Abs(start_.z),
+                                     constant(view_.nearConstant));
+        const Vec dw = hn::Abs(hn::Load(kF, bundle_.dw[b] + lane_));
+        return hn::IfThenElse(hn::Gt(dw, depth), hn::Div(depth, dw), constant(1.0f));
     }
 
     /// LightSample::weight times the cosine at the receiver.
@@ -458,6 +480,12 @@ LightRays::LightRays(const Projection& p, std::uint32_t width, std::uint32_t hei
     view_.width = float(width), view_.height = float(height);
     view_.highest = view_.perspective ? 1.0f / view_.nearest : -view_.nearest;
     view_.planeHeight = float(setting.height * p.pixelFootprint(1.0));
+    view_.near = setting.nearDepth > 0.0;
+    view_.nearHeight = float(setting.nearHeight * p.pixelFootprint(1.0));
+    view_.nearStart = float(setting.nearStart);
+    const auto nearDepth = float(setting.nearDepth * p.pixelFootprint(1.0));
+    view_.nearPerW = view_.perspective ? nearDepth : 0.0f;
+    view_.nearConstant = view_.perspective ? 0.0f : nearDepth;
     const light::LightView seen = light.view(p.eye + p.forward);
     domain_ = seen.domain;
     endless_ = seen.endless;

@@ -34,6 +34,10 @@ struct ReceiverLanes {
 /// What becomes of the rays of a bundle; [block], one bit a lane.
 struct RayFates {
     std::uint16_t clear[trace::kMostBlocks];  ///< cannot meet anything: not in the bundle
+    /// [block][lane]: with a near field, whose part a ray is up to here; the layers' part
+    /// begins there.
+    alignas(64) float nearEnd[trace::kMostBlocks][trace::kLanes];
+    alignas(64) float layersBegin[trace::kMostBlocks][trace::kLanes];
     /// [block][lane]: what a ray counts for, if weights were asked for.
     alignas(64) float weight[trace::kMostBlocks][trace::kLanes];
 };
@@ -42,11 +46,15 @@ class LightRays {
   public:
     /// `samples` points on the light. `normals`: the receivers' tangent planes count, and
     /// what does not lie `height` pixel footprints above them does not. `weights`: fill
-    /// RayFates::weight with cosines (needs normals).
+    /// RayFates::weight with cosines (needs normals). `nearDepth`: the near field answers
+    /// for so many pixel footprints of depth; above 0, RayBundle::begin is where its part
+    /// begins, `nearHeight` footprints above the plane, or at the start divided by
+    /// `nearStart`.
     struct Setting {
         std::uint32_t samples = 1;
         bool normals = false, weights = false;
         double height = 0.0;
+        double nearDepth = 0.0, nearHeight = 0.0, nearStart = 1.0;
     };
     /// `depths`: of all layers of the face.
     LightRays(const Projection& projection, std::uint32_t width, std::uint32_t height,
@@ -74,10 +82,13 @@ class LightRays {
     struct View {
         bool perspective;
         float scaleU, scaleV, offsetU, offsetV;
-        float nearest, farthest;  // depths beyond which there is nothing
-        float width, height;      // pixels
-        float highest;            // w of nearest
-        float planeHeight;        // in RayBundle's measure
+        float nearest, farthest;       // depths beyond which there is nothing
+        float width, height;           // pixels
+        float highest;                 // w of nearest
+        float planeHeight;             // in RayBundle's measure
+        bool near;                     // is there a near field?
+        float nearHeight, nearStart;   // see Setting
+        float nearPerW, nearConstant;  // its depth, in w
     };
 
   private:

@@ -71,7 +71,7 @@ OPTIONS = {
     "bake": """--output --light-shape --light-position --light-target --light-direction --light-up
                --light-radius --light-size --light-angle --light-name --projection --fov --near --far
                --resolution --subsamples --bias --cull --layers --tolerance --resets --color
-               --keep-hidden --opacity --include --exclude --texture --hair-width --hair-tip-width --hair-opacity
+               --keep-hidden --near-field --opacity --include --exclude --texture --hair-width --hair-tip-width --hair-opacity
                --hair-scale --density-grid --density-scale --codec --level --threads --max-memory
                --quiet --json --version --help""",
     "query": """--point --normal --points --rays --position --position-layer --normal-pass
@@ -503,6 +503,7 @@ class Job(ToolTest):
             resets = 2
             color = false
             keep-hidden = true
+            near-field = "none"
             codec = "zstd"
             level = 5
             [[caster]]
@@ -841,6 +842,31 @@ class Bake(ToolTest):
         one = pathlib.Path("1.mtsm").read_bytes()
         self.assertEqual(one, pathlib.Path("2.mtsm").read_bytes())
         self.assertEqual(one, pathlib.Path("8.mtsm").read_bytes())
+
+    def test_a_near_field_is_kept_within_its_size_or_not_at_all(self):
+        for size in ("auto", "1M", 10000):
+            done = self.good(self.bake(*LIGHT, "--near-field", size, "--json"))
+            near = json.loads(done.stdout)["nearField"]
+            self.assertEqual((near["kept"], near["triangles"], near["reason"]), (True, 4, ""))
+            self.assertIn("near field: 4 triangles", done.stderr)
+            dumped = json.loads(run("dump", "a.mtsm", "--json").stdout)
+            self.assertEqual(dumped["nearField"]["triangles"], 4)
+            self.assertEqual(dumped["nearField"]["memoryBytes"], near["bytes"])
+            self.assertIn("NEAR", [block["type"] for block in dumped["blocks"]])
+            self.assertIn("4 triangles in ", run("dump", "a.mtsm").stdout)
+        done = self.good(self.bake(*LIGHT, "--near-field", 100, "--json"))
+        self.assertFalse(json.loads(done.stdout)["nearField"]["kept"])
+        self.assertIn("warning: no near field: it takes about 1M: --near-field 1M would hold it", done.stderr)
+        done = self.good(self.bake(*LIGHT, "--near-field", "1M", "--opacity", 0.5))
+        self.assertIn("warning: no near field: only casters that are all opaque triangles", done.stderr)
+        done = self.good(self.bake(*LIGHT, "--near-field", "auto", "--opacity", 0.5))
+        self.assertIn("no near field: only casters", done.stderr)
+        self.assertNotIn("warning", done.stderr)
+        done = self.good(self.bake(*LIGHT))
+        self.assertNotIn("near field", done.stderr)
+        self.assertEqual(json.loads(run("dump", "a.mtsm", "--json").stdout)["nearField"]["chunks"], 0)
+        for wrong in ("0", "lots", "-1", "auto "):
+            self.fails(self.bake(*LIGHT, "--near-field", wrong), 2, "--near-field", wrong)
 
     def test_what_is_no_mesh_is_a_bad_file(self):
         pathlib.Path("text.ply").write_text("this is no mesh at all\n")

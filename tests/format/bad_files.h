@@ -53,12 +53,42 @@ inline const std::map<std::string, BadWords>& badWords() {
         {"bad_filter_without_compression",
          {"not compressed", "filter without compression"}},
         {"bad_zstd_frame", {"no zstd frame", "no zstd frame"}},
+        {"bad_near_cut",
+         {"part 0: reaches past the end", "block NEAR at offset 576: reaches past"}},
+        {"bad_near_chunks_absurd",
+         {"claims 1152921504606846976 chunks", "more chunks than --max-bytes"}},
+        {"bad_near_points_absurd",
+         {"claims 4294967295 points for 1 chunks", "4294967295 points"}},
+        {"bad_near_corner_of_no_point", {"corner 5 is a point 4 before", "corner 5"}},
+        {"bad_near_not_finite",
+         {"near field: chunk 0, axis v: starts at 0 with steps of inf", "step"}},
+        {"bad_near_twice", {"2 blocks NEAR", "more than one block"}},
         {"unsupported_newer_encoding",
          {"version 1.1, newer than the 1.0 that this reader knows: tile face 0 (0, 0) at "
           "offset 576: plane z: unknown encoding 3",
           "version 1.1, newer than the 1.0"}},
     };
     return words;
+}
+
+/// A near field of one triangle, written by hand: (0, 0, 0.5), (8, 0, 0.5), (0, 8, 1).
+inline Bytes handmadeNear() {
+    Bytes near;
+    base::ByteWriter out(near);
+    out.put(format::NearFixed{1, 7});
+    out.put(std::uint64_t(1));         // chunks
+    out.put(format::NearPart{3, 90});  // points; as it is
+    // low 0, 0, 0.5 (3f000000), step 1 (3f800000), 1, 0.5: byte 0 of all first.
+    out.zeros(6 + 6);
+    out.bytes(std::vector<std::uint8_t>{0, 0, 0, 0x80, 0x80, 0});
+    out.bytes(std::vector<std::uint8_t>{0, 0, 0x3f, 0x3f, 0x3f, 0x3f});
+    out.zeros(3);  // three new points, then the same again
+    for (int triangle = 1; triangle < 16; ++triangle)
+        out.bytes(std::vector<std::uint8_t>{3, 2, 1});
+    // Zigzag of what u, v and w change by from point to point: +8 is 16, -8 is 15.
+    out.bytes(std::vector<std::uint8_t>{0, 16, 15, 0, 0, 16, 0, 0, 2});
+    out.zeros(9);
+    return near;
 }
 
 /// All checksums are right wherever the name does not say otherwise.
@@ -138,6 +168,22 @@ inline std::vector<BadFile> badFiles() {
         plane(s, 0, [](PlaneRecord& r) { r.encoding = 2, r.storedLength = 63; });
         Bytes& tile = s.payload(kTile);
         tile.erase(tile.begin() + long(firstPlane));
+    });
+    // The record lies at 16, the content at 24: floats, corners at 24 + 24.
+    const auto addNear = [&](const std::string& name,
+                             const std::function<void(Bytes&)>& change) {
+        add(name, [&](Surgery& s) {
+            s.parts.insert(s.parts.begin() + 2, {kNear, 0, handmadeNear()});
+            change(s.parts[2].payload);
+        });
+    };
+    addNear("bad_near_cut", [](Bytes& near) { near.resize(near.size() - 10); });
+    addNear("bad_near_chunks_absurd", [](Bytes& near) { poke(near, 8, 1ull << 60); });
+    addNear("bad_near_points_absurd", [](Bytes& near) { poke(near, 16, 0xffffffffu); });
+    addNear("bad_near_corner_of_no_point", [](Bytes& near) { near[48 + 5] = 4; });
+    addNear("bad_near_not_finite", [](Bytes& near) { near[24 + 18 + 4] = 0x7f; });
+    add("bad_near_twice", [](Surgery& s) {
+        s.parts.insert(s.parts.begin() + 2, 2, {kNear, 0, handmadeNear()});
     });
     add("unsupported_newer_encoding", [&](Surgery& s) {
         s.prefix.versionMinor = 1;

@@ -2,6 +2,7 @@
 // specification give the same numbers.
 #include <sys/wait.h>
 
+#include <algorithm>
 #include <bit>
 #include <catch2/catch.hpp>
 #include <cmath>
@@ -167,6 +168,29 @@ bool samePixel(const json& j, const PixelLayers& layers, std::uint32_t channels)
     return true;
 }
 
+bool sameChunk(const json& j, const NearChunk& chunk) {
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+        if (!same(j["low"][axis], chunk.low[axis]) ||
+            !same(j["step"][axis], chunk.step[axis]))
+            return false;
+        for (std::size_t c = 0; c < 3; ++c) {
+            const auto q = j["corner"][c][axis].get<std::vector<std::uint16_t>>();
+            if (!std::equal(q.begin(), q.end(), std::begin(chunk.corner[c][axis]),
+                            std::end(chunk.corner[c][axis])))
+                return false;
+        }
+    }
+    return true;
+}
+
+void checkNearField(const json& j, const NearField& field) {
+    REQUIRE(j.size() == field.chunks.size());
+    std::size_t different = 0;
+    for (std::size_t i = 0; i < j.size(); ++i)
+        different += !sameChunk(j[i], field.chunks[i]);
+    CHECK(different == 0);
+}
+
 void checkMap(const json& j, const ShadowMap& map) {
     checkInfo(j, map.info());
     checkAttributes(j["attributes"], map.info().attributes);
@@ -177,6 +201,7 @@ void checkMap(const json& j, const ShadowMap& map) {
     std::uint64_t different = 0;
     for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
         checkProjection(j["projections"][face], map.projection(face));
+        checkNearField(j["nearField"][face], map.nearField(face));
         z.include(map.zRange(face));
         REQUIRE(j["pixels"][face].size() == map.info().height);
         for (std::uint32_t y = 0; y < map.info().height; ++y) {

@@ -299,6 +299,43 @@ inline Golden deepPixel() {
             })};
 }
 
+/// Triangles beside the layers: more than one part of chunks in one face, few triangles
+/// in another, none in the rest; corners shared and not, steps of zero.
+inline Golden nearField() {
+    const Golden six = sixFaces();
+    std::vector<MapFace> faces;
+    for (std::uint32_t f = 0; f < six.map.faceCount(); ++f)
+        faces.push_back({six.map.projection(f), {six.map.tile(f, 0, 0)}, {}});
+    Numbers numbers(19);
+    for (int i = 0; i < 1030; ++i) {
+        NearChunk& chunk = faces[1].nearField.chunks.emplace_back();
+        for (int axis = 0; axis < 3; ++axis) {
+            chunk.step[axis] = axis == 2 ? 0x1p-16f : i % 7 == 3 ? 0.0f : 0x1p-8f;
+            chunk.low[axis] = float(int(numbers.below(4096)) - 512) * 0x1p-8f;
+        }
+        for (std::uint32_t t = 0; t < NearChunk::kTriangles; ++t) {
+            // A strip; in every third chunk triangles by themselves.
+            for (std::uint32_t c = 0; c < 3; ++c) {
+                const std::uint32_t n = i % 3 == 2 ? 3 * t + c : t + c;
+                chunk.corner[c][0][t] = std::uint16_t(300 * n + std::uint32_t(i));
+                chunk.corner[c][1][t] = std::uint16_t(n % 2 ? 65535 - 9 * n : 200 * n);
+                chunk.corner[c][2][t] = std::uint16_t(n * n * 7 + std::uint32_t(i) % 5);
+            }
+        }
+    }
+    NearChunk one;  // a single triangle, repeated
+    one.low[2] = 0.25f;
+    one.step[0] = one.step[1] = 0x1p-5f;
+    for (int t = 0; t < NearChunk::kTriangles; ++t) {
+        one.corner[1][0][t] = 65535;
+        one.corner[2][1][t] = 65535;
+    }
+    faces[4].nearField.chunks = {one};
+    auto map = ShadowMap::create(six.map.info(), std::move(faces));
+    if (!map) throw std::runtime_error(map.error().message);
+    return {"near_field", *std::move(map)};
+}
+
 inline Golden attributes() {
     MapInfo info = goldenInfo(2, 2, 8);
     info.settings = "quote \" backslash \\ newline \n moon \xf0\x9f\x8c\x92";
@@ -334,6 +371,7 @@ inline std::vector<Golden> goldenMaps() {
     all.push_back(oddSize());
     all.push_back(deepPixel());
     all.push_back(attributes());
+    all.push_back(nearField());
     return all;
 }
 

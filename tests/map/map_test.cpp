@@ -119,3 +119,87 @@ TEST_CASE("identical sees every bit of a layer and nothing else", "[map]") {
     other.seed = 6;
     CHECK_FALSE(identical(a, noisyMap(other)));
 }
+
+TEST_CASE("boxes of a near field hold what is below them and no more", "[map]") {
+    std::mt19937_64 random(3);
+    std::vector<MapFace> faces(1);
+    faces[0].projection = test::plainProjection(8, 8);
+    faces[0].tiles.resize(1);
+    NearField& made = faces[0].nearField;
+    made.levels.resize(7);  // what is there does not matter
+    for (int i = 0; i < 16 * 16 + 1; ++i) {
+        NearChunk& chunk = made.chunks.emplace_back();
+        for (int axis = 0; axis < 3; ++axis) {
+            chunk.low[axis] = float(random() % 1000);
+            chunk.step[axis] = 0x1p-8f;
+        }
+        for (auto& corner : chunk.corner) {
+            for (auto& axis : corner) {
+                for (auto& q : axis)
+                    q = std::uint16_t(random() % 9000);
+            }
+        }
+    }
+    const auto map =
+        ShadowMap::create(test::plainInfo(8, 8, 8), std::vector<MapFace>(faces));
+    REQUIRE(map);
+    const NearField& field = map->nearField(0);
+    REQUIRE(field.levels.size() == 3);
+    CHECK(field.levels[0].size() == 17);
+    CHECK(field.levels[1].size() == 2);
+    CHECK(field.levels[2].size() == 1);
+    const auto low = [](const NearBoxes& b, int axis, std::size_t i) {
+        return b.low[axis][i];
+    };
+    for (int axis = 0; axis < 3; ++axis) {
+        float whole[2] = {INFINITY, -INFINITY};
+        for (std::size_t i = 0; i < field.chunks.size(); ++i) {
+            float least = INFINITY, most = -INFINITY;
+            for (int c = 0; c < 3; ++c) {
+                for (int t = 0; t < NearChunk::kTriangles; ++t) {
+                    least = std::min(least, field.chunks[i].at(c, axis, t));
+                    most = std::max(most, field.chunks[i].at(c, axis, t));
+                }
+            }
+            CHECK(low(field.levels[0][i / 16], axis, i % 16) == least);
+            CHECK(field.levels[0][i / 16].high[axis][i % 16] == most);
+            whole[0] = std::min(whole[0], least);
+            whole[1] = std::max(whole[1], most);
+        }
+        CHECK(std::min(low(field.levels[2][0], axis, 0),
+                       low(field.levels[2][0], axis, 1)) == whole[0]);
+        CHECK(std::max(field.levels[2][0].high[axis][0],
+                       field.levels[2][0].high[axis][1]) == whole[1]);
+        CHECK(low(field.levels[2][0], axis, 2) == INFINITY);  // no child
+        CHECK(field.levels[2][0].high[axis][2] == -INFINITY);
+    }
+    // Its memory is that of chunks and boxes, and identical looks at the chunks.
+    faces[0].nearField = {};
+    const auto none =
+        ShadowMap::create(test::plainInfo(8, 8, 8), std::vector<MapFace>(faces));
+    REQUIRE(none);
+    CHECK(map->memoryBytes() == none->memoryBytes() + 257 * 312 + 20 * 384);
+    CHECK(nearFieldBytes(257) == 257 * 312 + 20 * 384);
+    CHECK(nearFieldBytes(0) == 0);
+    CHECK_FALSE(identical(*map, *none));
+}
+
+TEST_CASE("a near field whose grids are not finite is refused", "[map][bad-input]") {
+    const auto refused = [](float low, float step) {
+        std::vector<MapFace> faces(1);
+        faces[0].projection = test::plainProjection(8, 8);
+        faces[0].tiles.resize(1);
+        faces[0].nearField.chunks.resize(2);
+        faces[0].nearField.chunks[1].low[2] = low;
+        faces[0].nearField.chunks[1].step[2] = step;
+        const auto map = ShadowMap::create(test::plainInfo(8, 8, 8), std::move(faces));
+        return !map && map.error().message.find("chunk 1, axis w") != std::string::npos;
+    };
+    CHECK_FALSE(refused(-3.0f, 0.0f));
+    CHECK(refused(NAN, 1.0f));
+    CHECK(refused(-INFINITY, 1.0f));
+    CHECK(refused(0.0f, NAN));
+    CHECK(refused(0.0f, -1e-30f));
+    CHECK(refused(0.0f, 1e37f));  // 65535 of them
+    CHECK(refused(3e38f, 1e33f));
+}

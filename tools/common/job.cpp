@@ -49,6 +49,7 @@ enum class Form {
     resolution,
     bytes,
     resets,
+    nearField,
     patterns,
     textures,
     matrix,
@@ -94,6 +95,7 @@ constexpr Key kKeys[] = {
     {"map", "resets", Form::resets},
     {"map", "color", Form::flag},
     {"map", "keep-hidden", Form::flag},
+    {"map", "near-field", Form::nearField},
     {"map", "codec", Form::text},
     {"map", "level", Form::whole},
 
@@ -159,6 +161,8 @@ const char* expected(Form form) {
             return "bytes, such as \"8G\" or 1000000";
         case Form::resets:
             return "a whole number, or \"all\"";
+        case Form::nearField:
+            return "bytes, such as \"32M\" or 1000000, \"auto\" or \"none\"";
         case Form::patterns:
             return "a pattern in quotes, or a list of them";
         case Form::textures:
@@ -389,6 +393,7 @@ std::optional<std::string> spell(Form form, const toml::node& node) {
             return whole ? std::optional(std::to_string(**whole)) : std::nullopt;
         case Form::bytes:
         case Form::resets:
+        case Form::nearField:
             if (whole) return std::to_string(**whole);
             [[fallthrough]];
         case Form::text:

@@ -27,6 +27,9 @@ namespace mtsm {
 
 enum class Cull { none, back, front };
 
+/// BakeOptions::nearField for bakes that are not told how large it may be.
+inline constexpr std::uint64_t kAutomaticNearField = std::uint64_t(64) << 20;
+
 struct BakeOptions {
     AreaLight
         light;  ///< for every shape but sun, `direction` may be replaced by `target`
@@ -72,6 +75,11 @@ struct BakeOptions {
     bool keepHidden = false;
     /// z threshold, >= 0, world units. Without: a pixel's footprint at a layer's depth.
     std::optional<float> bias;
+    /// Bytes that the near field (mtsm/near_field.h) may take in memory; 0: none. Only
+    /// casters that are all opaque triangles have one, and it is kept whole or not at
+    /// all: BakeReport says what came of it. It takes no more than a quarter of what
+    /// layers leave of maxBytes, because its making takes more.
+    std::uint64_t nearField = 0;
     Cull cull = Cull::none;  ///< faces turned away from (back) or to (front) the eye
     std::uint64_t maxBytes = std::uint64_t(8)
                              << 30;  ///< for the depth buffer and the map
@@ -98,7 +106,10 @@ struct BakeReport {
     std::uint64_t droppedHidden = 0;    ///< layers that no point of the light sees
     /// Pixels in which the cap on layers took more than the tolerance allows.
     std::uint64_t pixelsOverTolerance = 0;
-    double readSeconds = 0, rasterSeconds = 0, compressSeconds = 0;
+    std::uint64_t nearTriangles = 0;  ///< in the near field, or that it would have held
+    std::uint64_t nearBytes = 0;      ///< that it takes in memory, or would take
+    std::string noNearField;          ///< why there is none, although there was to be one
+    double readSeconds = 0, rasterSeconds = 0, compressSeconds = 0, nearSeconds = 0;
 };
 
 struct Baked {

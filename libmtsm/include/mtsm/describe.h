@@ -41,6 +41,9 @@ struct Description {
     std::vector<std::uint64_t>
         layerHistogram;  ///< [i]: pixels with i layers; last entry: mostLayers
     ZRange z;            ///< of all faces
+    std::uint64_t nearTriangles = 0;  ///< of all faces' near fields
+    std::uint64_t nearChunks = 0;     ///< of 16 that they lie in
+    std::uint64_t nearBytes = 0;      ///< that they take in memory
 };
 
 /// Reads and checks the whole file, as readMap does.

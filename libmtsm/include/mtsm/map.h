@@ -29,6 +29,7 @@
 #include <vector>
 
 #include "mtsm/light.h"
+#include "mtsm/near_field.h"
 #include "mtsm/result.h"
 
 namespace mtsm {
@@ -155,6 +156,9 @@ inline constexpr std::uint32_t kAllResets = 0xffffffffu;    ///< MapInfo::resets
 struct MapFace {
     Projection projection;
     std::vector<Tile> tiles;
+    /// Every triangle of the casters that reaches into the window, if all of them are
+    /// opaque triangles; or empty.
+    NearField nearField = {};
 };
 
 /// A pixel's layers, pointing into a map.
@@ -168,10 +172,11 @@ struct PixelLayers {
 
 class ShadowMap {
   public:
-    /// Checks every invariant that this header states and builds the min/max-z hierarchy.
+    /// Checks every invariant that this header states and builds the min/max-z hierarchy
+    /// and the boxes of the near field.
     /// Errors (badArgument) name the face, the tile, the pixel and what is wrong. There
-    /// must be 1 face or 6. Time and memory are linear in the number of layers and
-    /// pixels.
+    /// must be 1 face or 6. Time and memory are linear in the number of layers, pixels
+    /// and triangles.
     [[nodiscard]] static Result<ShadowMap> create(MapInfo info,
                                                   std::vector<MapFace> faces);
 
@@ -192,6 +197,11 @@ class ShadowMap {
     [[nodiscard]] std::uint32_t tileWidth(std::uint32_t tx) const noexcept;
     [[nodiscard]] std::uint32_t tileHeight(std::uint32_t ty) const noexcept;
 
+    /// Empty if the map has none, whatever its layers are.
+    [[nodiscard]] const NearField& nearField(std::uint32_t face) const noexcept {
+        return faces_[face].nearField;
+    }
+
     [[nodiscard]] PixelLayers pixel(std::uint32_t face, std::uint32_t x,
                                     std::uint32_t y) const noexcept;
 
@@ -207,7 +217,7 @@ class ShadowMap {
     [[nodiscard]] std::uint64_t layerCount() const noexcept { return layerCount_; }
     /// No layer lets anything through.
     [[nodiscard]] bool isOpaque() const noexcept { return isOpaque_; }
-    /// Bytes that layers and hierarchy take in memory.
+    /// Bytes that layers, hierarchy and near field take in memory.
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
 
     /// What queries make of the map, once; for the library's own use. Copies of a map
@@ -235,7 +245,8 @@ class ShadowMap {
     std::shared_ptr<base::Lazy> queryData_;
 };
 
-/// True if the two maps are the same to the last bit: info, projections and layers.
+/// True if the two maps are the same to the last bit: info, projections, layers and near
+/// field.
 /// (Planes that say what their absence means, all v = 0 or all n = 1, equal absent ones.)
 [[nodiscard]] bool identical(const ShadowMap& a, const ShadowMap& b) noexcept;
 

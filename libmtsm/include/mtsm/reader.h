@@ -23,13 +23,16 @@ namespace mtsm {
 struct ReadLimits {
     /// Memory that is taken for tiles: the map that comes out (ShadowMap::memoryBytes())
     /// and, for each thread that decodes, the stored bytes of the largest tile and 8 to
-    /// 12 bytes for each of its layers or pixels. Not counted: the index and the
-    /// hierarchy as they are stored, which are a part of the file, and what
+    /// 12 bytes for each of its layers or pixels; of a near field the stored bytes and,
+    /// for each thread, the largest of the parts that it is stored in. Not counted: the
+    /// index and the hierarchy as they are stored, which are a part of the file, and what
     /// maxAttributeBytes bounds, each at most twice.
     std::uint64_t maxBytes = std::uint64_t(8) << 30;
     /// Over all faces. By default all that a map may have.
     std::uint64_t maxPixels = std::uint64_t(6) * kMaxResolution * kMaxResolution;
     std::uint64_t maxAttributeBytes = 64u << 20;  ///< attributes and texts
+    /// Without, the near field is passed over, as by a reader that does not know of it.
+    bool nearField = true;
 };
 
 /// The whole map. Errors: io, badFile (the message names the damaged part and its

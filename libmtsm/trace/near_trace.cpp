@@ -1,0 +1,426 @@
+// The boxes of the near field are walked with a hull of all rays that are asked for; in
+// the chunks that are left the 16 triangles' boxes are compared with it side by side; and
+// each triangle that is left is tested against 16 rays at once, block by block.
+//
+// The hull is the box around all rays' first pieces, that around their second ones, and
+// so on: one box around slanted rays would hold far too much. What a ray meets must not
+// depend on the hull, that is, on the rays beside it. So a ray that is found to cross a
+// triangle is closed only if one of its own pieces' boxes overlaps the triangle's: the
+// hull contains them all, and passes nothing over that any of its rays could meet. Where
+// rounding decides, it decides for the ray alone. Boxes are a little larger than the
+// rays' pieces, so that no true crossing is lost.
+//
+// Fused multiply-adds are not used, for they would make one machine's answer another's
+// rounding.
+#include "trace/near_trace.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <limits>
+
+// Vectors of a length that is not known in advance cannot be members of a struct.
+#define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "trace/near_trace.cpp"
+#include "hwy/foreach_target.h"
+#include "hwy/highway.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace mtsm::trace {
+namespace HWY_NAMESPACE {
+
+namespace hn = hwy::HWY_NAMESPACE;
+
+using Floats = hn::CappedTag<float, kLanes>;
+using Vec = hn::Vec<Floats>;
+using Mask = hn::Mask<Floats>;
+
+constexpr int kPieces = 4;
+constexpr int kTriangles = NearChunk::kTriangles;
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+/// Of a ray's coordinates, added to its boxes; their rounding is an eighth of it.
+constexpr float kMargin = 0x1p-20f;
+/// Of the sum of a volume's terms without their signs; their rounding is half of it.
+constexpr float kRounding = 0x1p-20f;
+
+std::uint32_t bitsOf(Floats d, Mask mask) {
+    std::uint8_t bytes[8] = {};
+    hn::StoreMaskBits(d, mask, bytes);
+    return bytes[0] | std::uint32_t(bytes[1]) << 8;
+}
+
+Mask maskOf(Floats d, std::uint32_t bits) {
+    const std::uint8_t bytes[8] = {std::uint8_t(bits), std::uint8_t(bits >> 8)};
+    return hn::LoadMaskBits(d, bytes);
+}
+
+/// A point or a direction for each lane.
+struct Vec3 {
+    Vec x, y, z;
+};
+
+Vec3 add(const Vec3& a, const Vec3& b) {
+    return {hn::Add(a.x, b.x), hn::Add(a.y, b.y), hn::Add(a.z, b.z)};
+}
+
+Vec dot(const Vec3& a, const Vec3& b) {
+    return hn::Add(hn::Add(hn::Mul(a.x, b.x), hn::Mul(a.y, b.y)), hn::Mul(a.z, b.z));
+}
+
+Vec3 cross(const Vec3& a, const Vec3& b) {
+    return {hn::Sub(hn::Mul(a.y, b.z), hn::Mul(a.z, b.y)),
+            hn::Sub(hn::Mul(a.z, b.x), hn::Mul(a.x, b.z)),
+            hn::Sub(hn::Mul(a.x, b.y), hn::Mul(a.y, b.x))};
+}
+
+/// What cross(a, b) is summed up from, without signs.
+Vec3 crossTerms(const Vec3& a, const Vec3& b) {
+    const auto terms = [](Vec p, Vec q, Vec r, Vec s) {
+        return hn::Add(hn::Mul(p, q), hn::Mul(r, s));
+    };
+    return {terms(a.y, b.z, a.z, b.y), terms(a.z, b.x, a.x, b.z),
+            terms(a.x, b.y, a.y, b.x)};
+}
+
+Vec3 abs(const Vec3& a) {
+    return {hn::Abs(a.x), hn::Abs(a.y), hn::Abs(a.z)};
+}
+
+Vec3 max(const Vec3& a, const Vec3& b) {
+    return {hn::Max(a.x, b.x), hn::Max(a.y, b.y), hn::Max(a.z, b.z)};
+}
+
+Vec3 broadcast(Floats d, const float (&p)[3]) {
+    return {hn::Set(d, p[0]), hn::Set(d, p[1]), hn::Set(d, p[2])};
+}
+
+struct Box {
+    float low[3] = {kInfinity, kInfinity, kInfinity};
+    float high[3] = {-kInfinity, -kInfinity, -kInfinity};
+
+    [[nodiscard]] bool overlaps(const Box& b) const {
+        for (int axis = 0; axis < 3; ++axis) {
+            if (!(low[axis] <= b.high[axis] && high[axis] >= b.low[axis])) return false;
+        }
+        return true;
+    }
+};
+
+/// The corners of a chunk's triangles, and their boxes.
+struct Triangles {
+    alignas(64) float corner[3][3][kTriangles];  // [corner][axis][triangle]
+    alignas(64) float low[3][kTriangles], high[3][kTriangles];
+
+    explicit Triangles(const NearChunk& chunk) {
+        const Floats d;
+        const hn::Rebind<std::int32_t, Floats> whole;
+        const hn::Rebind<std::uint16_t, Floats> stored;
+        for (int axis = 0; axis < 3; ++axis) {
+            const Vec first = hn::Set(d, chunk.low[axis]);
+            const Vec step = hn::Set(d, chunk.step[axis]);
+            for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
+                Vec p[3];
+                for (int c = 0; c < 3; ++c) {
+                    const auto q = hn::LoadU(stored, chunk.corner[c][axis] + t);
+                    const Vec steps = hn::ConvertTo(d, hn::PromoteTo(whole, q));
+                    p[c] = hn::Add(first, hn::Mul(step, steps));
+                    hn::Store(p[c], d, corner[c][axis] + t);
+                }
+                hn::Store(hn::Min(hn::Min(p[0], p[1]), p[2]), d, low[axis] + t);
+                hn::Store(hn::Max(hn::Max(p[0], p[1]), p[2]), d, high[axis] + t);
+            }
+        }
+    }
+    [[nodiscard]] Box box(int t) const {
+        Box b;
+        for (int axis = 0; axis < 3; ++axis) {
+            b.low[axis] = low[axis][t];
+            b.high[axis] = high[axis][t];
+        }
+        return b;
+    }
+};
+
+/// One call of traceNear().
+class Walk {
+  public:
+    Walk(const NearField& field, RayBundle& rays, const float (*end)[kLanes],
+         const std::uint16_t* asked)
+        : field_(field), rays_(rays), end_(end) {
+        for (int b = 0; b < rays_.blocks; ++b) {
+            left_[b] = rays_.open[b] & asked[b];
+            if (left_[b]) blocksLeft_ |= std::uint64_t(1) << b;
+        }
+        const float* const starts[3] = {rays_.u, rays_.v, rays_.w};
+        const float(*const deltas[3])[kLanes] = {rays_.du, rays_.dv, rays_.dw};
+        for (int axis = 0; axis < 3; ++axis)
+            boundRays(axis, starts[axis], deltas[axis]);
+    }
+
+    void run() {
+        if (blocksLeft_ && !field_.levels.empty()) node(field_.levels.size() - 1, 0);
+    }
+
+  private:
+    void boundRays(int axis, const float* start, const float (*delta)[kLanes]);
+    [[nodiscard]] Box pieceOf(int b, int lane, int piece) const;
+    [[nodiscard]] std::uint32_t inHull(const float (&low)[3][kTriangles],
+                                       const float (&high)[3][kTriangles]) const;
+    [[nodiscard]] std::uint64_t blocksNear(const Box& box) const;
+    void node(std::size_t level, std::size_t index);
+    void chunk(const NearChunk& chunk);
+    void triangle(const Triangles& triangles, int t);
+    void close(int b, std::uint32_t hits, const Box& box);
+
+    const NearField& field_;
+    RayBundle& rays_;
+    const float (*const end_)[kLanes];
+    std::uint16_t left_[kMostBlocks];  ///< asked for and open
+    std::uint64_t blocksLeft_ = 0;     ///< with a ray that is
+    Box hull_[kPieces];
+    /// Of each block's rays, all pieces; of blocks without a ray empty.
+    alignas(64) float low_[3][kMostBlocks], high_[3][kMostBlocks];
+};
+
+/// One axis of hull and blocks. pieceOf() is the same for one ray, to the last bit.
+void Walk::boundRays(int axis, const float* start, const float (*delta)[kLanes]) {
+    const Floats d;
+    const Vec none = hn::Set(d, kInfinity);
+    // By piece, over all blocks; lanes are brought together last.
+    alignas(64) float lowest[kPieces][kLanes], highest[kPieces][kLanes];
+    for (int piece = 0; piece < kPieces; ++piece) {
+        std::fill_n(lowest[piece], kLanes, kInfinity);
+        std::fill_n(highest[piece], kLanes, -kInfinity);
+    }
+    for (int b = 0; b < (rays_.blocks + kLanes - 1) / kLanes * kLanes; ++b) {
+        low_[axis][b] = kInfinity;
+        high_[axis][b] = -kInfinity;
+    }
+    for (std::uint64_t next = blocksLeft_; next; next &= next - 1) {
+        const int b = std::countr_zero(next);
+        Vec lowOfBlock = none, highOfBlock = hn::Neg(none);
+        for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
+            const Mask asked = maskOf(d, std::uint32_t(left_[b]) >> i);
+            const Vec begin = hn::Load(d, rays_.begin[b] + i);
+            const Vec length = hn::Sub(hn::Load(d, end_[b] + i), begin);
+            const Vec origin = hn::Load(d, start + i), way = hn::Load(d, delta[b] + i);
+            const Vec margin =
+                hn::Mul(hn::Add(hn::Abs(origin), hn::Abs(way)), hn::Set(d, kMargin));
+            Vec from = hn::Add(origin, hn::Mul(begin, way));
+            for (int piece = 0; piece < kPieces; ++piece) {
+                const Vec share = hn::Set(d, float(piece + 1) / float(kPieces));
+                const Vec s = hn::Add(begin, hn::Mul(length, share));
+                const Vec to = hn::Add(origin, hn::Mul(s, way));
+                const Vec low =
+                    hn::IfThenElse(asked, hn::Sub(hn::Min(from, to), margin), none);
+                const Vec high = hn::IfThenElse(asked, hn::Add(hn::Max(from, to), margin),
+                                                hn::Neg(none));
+                hn::Store(hn::Min(hn::Load(d, lowest[piece] + i), low), d,
+                          lowest[piece] + i);
+                hn::Store(hn::Max(hn::Load(d, highest[piece] + i), high), d,
+                          highest[piece] + i);
+                lowOfBlock = hn::Min(lowOfBlock, low);
+                highOfBlock = hn::Max(highOfBlock, high);
+                from = to;
+            }
+        }
+        low_[axis][b] = hn::GetLane(hn::MinOfLanes(d, lowOfBlock));
+        high_[axis][b] = hn::GetLane(hn::MaxOfLanes(d, highOfBlock));
+    }
+    for (int piece = 0; piece < kPieces; ++piece) {
+        hull_[piece].low[axis] = *std::min_element(lowest[piece], lowest[piece] + kLanes);
+        hull_[piece].high[axis] =
+            *std::max_element(highest[piece], highest[piece] + kLanes);
+    }
+}
+
+Box Walk::pieceOf(int b, int lane, int piece) const {
+    const float begin = rays_.begin[b][lane], length = end_[b][lane] - begin;
+    const float starts[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
+    const float deltas[3] = {rays_.du[b][lane], rays_.dv[b][lane], rays_.dw[b][lane]};
+    const auto share = [](int i) { return float(i) / float(kPieces); };
+    const float first = piece == 0 ? begin : begin + length * share(piece);
+    const float last = begin + length * share(piece + 1);
+    Box box;
+    for (int axis = 0; axis < 3; ++axis) {
+        const float start = starts[axis], delta = deltas[axis];
+        const float margin = (std::abs(start) + std::abs(delta)) * kMargin;
+        const float from = start + first * delta, to = start + last * delta;
+        box.low[axis] = std::min(from, to) - margin;
+        box.high[axis] = std::max(from, to) + margin;
+    }
+    return box;
+}
+
+/// Of 16 boxes, those that overlap some piece of the hull.
+std::uint32_t Walk::inHull(const float (&low)[3][kTriangles],
+                           const float (&high)[3][kTriangles]) const {
+    const Floats d;
+    std::uint32_t found = 0;
+    for (std::size_t i = 0; i < kTriangles; i += hn::Lanes(d)) {
+        Vec lows[3], highs[3];
+        for (int axis = 0; axis < 3; ++axis) {
+            lows[axis] = hn::LoadU(d, low[axis] + i);
+            highs[axis] = hn::LoadU(d, high[axis] + i);
+        }
+        std::uint32_t bits = 0;
+        for (const Box& piece : hull_) {
+            Mask overlap = hn::Le(lows[0], hn::Set(d, piece.high[0]));
+            for (int axis = 0; axis < 3; ++axis) {
+                overlap =
+                    hn::And(overlap, hn::Le(lows[axis], hn::Set(d, piece.high[axis])));
+                overlap =
+                    hn::And(overlap, hn::Ge(highs[axis], hn::Set(d, piece.low[axis])));
+            }
+            bits |= bitsOf(d, overlap);
+        }
+        found |= bits << i;
+    }
+    return found;
+}
+
+void Walk::node(std::size_t level, std::size_t index) {
+    const NearBoxes& boxes = field_.levels[level][index];
+    for (std::uint32_t found = inHull(boxes.low, boxes.high); found && blocksLeft_;
+         found &= found - 1) {
+        const std::size_t child =
+            NearBoxes::kChildren * index + std::size_t(std::countr_zero(found));
+        if (level > 0)
+            node(level - 1, child);
+        else
+            chunk(field_.chunks[child]);
+    }
+}
+
+void Walk::chunk(const NearChunk& chunk) {
+    const Triangles triangles(chunk);
+    const std::uint32_t all = (1u << chunk.triangles()) - 1;
+    for (std::uint32_t found = all & inHull(triangles.low, triangles.high);
+         found && blocksLeft_; found &= found - 1)
+        triangle(triangles, std::countr_zero(found));
+}
+
+/// Blocks whose box overlaps this one.
+std::uint64_t Walk::blocksNear(const Box& box) const {
+    const Floats d;
+    std::uint64_t blocks = 0;
+    for (int b = 0; b < rays_.blocks; b += int(hn::Lanes(d))) {
+        Mask overlap = hn::Le(hn::Load(d, low_[0] + b), hn::Set(d, box.high[0]));
+        for (int axis = 0; axis < 3; ++axis) {
+            overlap = hn::And(
+                overlap, hn::Le(hn::Load(d, low_[axis] + b), hn::Set(d, box.high[axis])));
+            overlap = hn::And(
+                overlap, hn::Ge(hn::Load(d, high_[axis] + b), hn::Set(d, box.low[axis])));
+        }
+        blocks |= std::uint64_t(bitsOf(d, overlap)) << b;
+    }
+    return blocks;
+}
+
+/// Closes the rays that cross a triangle.
+void Walk::triangle(const Triangles& triangles, int t) {
+    const Floats d;
+    const Box box = triangles.box(t);
+    const std::uint64_t blocks = blocksLeft_ & blocksNear(box);
+    if (blocks == 0) return;
+
+    float corner[3][3], edge[3][3];
+    for (int c = 0; c < 3; ++c) {
+        for (int axis = 0; axis < 3; ++axis)
+            corner[c][axis] = triangles.corner[c][axis][t];
+    }
+    for (int c = 0; c < 3; ++c) {
+        for (int axis = 0; axis < 3; ++axis)
+            edge[c][axis] = corner[(c + 1) % 3][axis] - corner[c][axis];
+    }
+    float longest[3];
+    for (int axis = 0; axis < 3; ++axis)
+        longest[axis] = box.high[axis] - box.low[axis];
+    const float normal[3] = {edge[0][1] * edge[1][2] - edge[0][2] * edge[1][1],
+                             edge[0][2] * edge[1][0] - edge[0][0] * edge[1][2],
+                             edge[0][0] * edge[1][1] - edge[0][1] * edge[1][0]};
+    for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
+        // Seen from the rays' start: the corners, the planes through the edges, and how
+        // far it is to the triangle's plane.
+        const Vec3 start = {hn::Load(d, rays_.u + i), hn::Load(d, rays_.v + i),
+                            hn::Load(d, rays_.w + i)};
+        Vec3 to[3], side[3];
+        for (int c = 0; c < 3; ++c)
+            to[c] = {hn::Sub(hn::Set(d, corner[c][0]), start.x),
+                     hn::Sub(hn::Set(d, corner[c][1]), start.y),
+                     hn::Sub(hn::Set(d, corner[c][2]), start.z)};
+        // An edge from A to B spans (A + B) x (B - A) with the start: twice A x B, but
+        // without its cancellation.
+        Vec3 furthest = {hn::Zero(d), hn::Zero(d), hn::Zero(d)};
+        for (int c = 0; c < 3; ++c) {
+            const Vec3 middle = add(to[c], to[(c + 1) % 3]);
+            side[c] = cross(middle, broadcast(d, edge[c]));
+            furthest = max(furthest, abs(middle));
+        }
+        const Vec3 terms = crossTerms(furthest, broadcast(d, longest));
+        const Vec3 n = broadcast(d, normal);
+        const Vec distance = dot(n, to[0]);
+        for (std::uint64_t next = blocks; next; next &= next - 1) {
+            const int b = std::countr_zero(next);
+            const std::uint32_t wanted = std::uint32_t(left_[b]) >> i;
+            if (wanted == 0) continue;
+            const Vec3 delta = {hn::Load(d, rays_.du[b] + i),
+                                hn::Load(d, rays_.dv[b] + i),
+                                hn::Load(d, rays_.dw[b] + i)};
+            const Vec e0 = dot(delta, side[0]), e1 = dot(delta, side[1]),
+                      e2 = dot(delta, side[2]);
+            const Vec zero = hn::Mul(dot(abs(delta), terms), hn::Set(d, kRounding));
+            const Mask through =
+                hn::Or(hn::Ge(hn::Min(hn::Min(e0, e1), e2), hn::Neg(zero)),
+                       hn::Le(hn::Max(hn::Max(e0, e1), e2), zero));
+            // It is met at s = distance / speed.
+            const Vec speed = dot(delta, n);
+            const Vec towards = hn::Xor(distance, hn::And(speed, hn::Set(d, -0.0f)));
+            const Vec rate = hn::Abs(speed);
+            const Mask behind =
+                hn::Gt(towards, hn::Mul(rate, hn::Load(d, rays_.begin[b] + i)));
+            const Mask before = hn::Le(towards, hn::Mul(rate, hn::Load(d, end_[b] + i)));
+            const std::uint32_t hits =
+                wanted & bitsOf(d, hn::And(through, hn::And(behind, before)));
+            if (hits) close(b, hits << i, box);
+        }
+    }
+}
+
+/// Closes those of a block's rays of which a piece overlaps the box.
+void Walk::close(int b, std::uint32_t hits, const Box& box) {
+    for (; hits; hits &= hits - 1) {
+        const int lane = std::countr_zero(hits);
+        for (int piece = 0; piece < kPieces; ++piece) {
+            if (!pieceOf(b, lane, piece).overlaps(box)) continue;
+            const auto bit = std::uint16_t(1u << lane);
+            rays_.open[b] = std::uint16_t(rays_.open[b] & ~bit);
+            left_[b] = std::uint16_t(left_[b] & ~bit);
+            if (left_[b] == 0) blocksLeft_ &= ~(std::uint64_t(1) << b);
+            break;
+        }
+    }
+}
+
+void traceNearAt(const NearField& field, RayBundle& rays, const float (*end)[kLanes],
+                 const std::uint16_t* asked) {
+    Walk(field, rays, end, asked).run();
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace mtsm::trace
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace mtsm::trace {
+
+HWY_EXPORT(traceNearAt);
+
+void traceNear(const NearField& field, RayBundle& rays, const float (*end)[kLanes],
+               const std::uint16_t* asked) noexcept {
+    HWY_DYNAMIC_DISPATCH(traceNearAt)(field, rays, end, asked);
+}
+
+}  // namespace mtsm::trace
+#endif

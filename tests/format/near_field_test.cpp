@@ -1,0 +1,291 @@
+// The near field in files: NEAR there and back, what bounds it, what may be wrong in it.
+#include <tbb/global_control.h>
+#include <tbb/task_arena.h>
+
+#include <catch2/catch.hpp>
+#include <limits>
+#include <random>
+
+#include "format/bad_files.h"
+#include "format/refused.h"
+#include "format/temp_folder.h"
+#include "map_fixture.h"
+#include "mtsm/describe.h"
+#include "mtsm/writer.h"
+
+using namespace mtsm;
+using namespace mtsm::test;
+using namespace mtsm::format;
+
+namespace {
+
+/// `shared`: corners are taken from a few points, as in a mesh.
+NearField noisyField(std::size_t chunks, bool shared, std::uint64_t seed) {
+    std::mt19937_64 random(seed);
+    NearField field;
+    for (std::size_t i = 0; i < chunks; ++i) {
+        NearChunk& chunk = field.chunks.emplace_back();
+        for (int axis = 0; axis < 3; ++axis) {
+            chunk.low[axis] = float(random() % 10000) / 8.0f - 100.0f;
+            chunk.step[axis] = random() % 5 ? 1.0f / float(1 + random() % 512) : 0.0f;
+        }
+        std::uint16_t point[9][3];
+        for (auto& p : point) {
+            for (auto& q : p)
+                q = std::uint16_t(random());
+        }
+        for (int t = 0; t < NearChunk::kTriangles; ++t) {
+            for (int c = 0; c < 3; ++c) {
+                const std::size_t from = random() % 9;
+                for (int axis = 0; axis < 3; ++axis)
+                    chunk.corner[c][axis][t] =
+                        shared ? point[from][axis] : std::uint16_t(random());
+            }
+        }
+    }
+    return field;
+}
+
+/// A small opaque map with these near fields, one for each face.
+ShadowMap mapWith(std::vector<NearField> fields) {
+    NoisySpec spec;
+    spec.width = spec.height = 9;
+    spec.faces = std::uint32_t(fields.size());
+    spec.opaque = true;
+    const ShadowMap plain = noisyMap(spec);
+    std::vector<MapFace> faces;
+    for (std::uint32_t f = 0; f < plain.faceCount(); ++f) {
+        MapFace& face = faces.emplace_back();
+        face.projection = plain.projection(f);
+        for (std::uint32_t i = 0; i < plain.tilesX() * plain.tilesY(); ++i)
+            face.tiles.push_back(plain.tile(f, i % plain.tilesX(), i / plain.tilesX()));
+        face.nearField = std::move(fields[f]);
+    }
+    auto map = ShadowMap::create(plain.info(), std::move(faces));
+    REQUIRE(map);
+    return *std::move(map);
+}
+
+Bytes encoded(const ShadowMap& map, Codec codec = Codec::zstd) {
+    WriteOptions options;
+    options.codec = codec;
+    return *encodeMap(map, options);
+}
+
+/// A file whose NEAR payload is `near`.
+Bytes withNear(const Bytes& near) {
+    Surgery s(encoded(mapWith({NearField()})));
+    s.parts.insert(s.parts.begin() + 1, {kNear, 0, near});
+    return s.close();
+}
+
+Bytes withHandmade(const std::function<void(Bytes&)>& change) {
+    Bytes near = handmadeNear();
+    change(near);
+    return withNear(near);
+}
+
+}  // namespace
+
+TEST_CASE("a near field comes back bit by bit, whatever its size and codec",
+          "[format][roundtrip]") {
+    for (const std::size_t chunks : {1u, 2u, 1023u, 1024u, 1025u, 3000u}) {
+        for (const bool shared : {true, false}) {
+            const ShadowMap map = mapWith({noisyField(chunks, shared, chunks)});
+            for (const Codec codec : {Codec::none, Codec::zstd}) {
+                const auto back = readBytes(encoded(map, codec));
+                INFO((back ? "" : back.error().message));
+                REQUIRE(back);
+                CHECK(identical(map, *back));
+            }
+        }
+    }
+    const ShadowMap six = mapWith({noisyField(3, true, 1),
+                                   {},
+                                   noisyField(2000, true, 2),
+                                   {},
+                                   {},
+                                   noisyField(1, false, 3)});
+    const auto back = readBytes(encoded(six));
+    REQUIRE(back);
+    CHECK(identical(six, *back));
+    CHECK(back->nearField(1).empty());
+    CHECK(back->nearField(2).levels.size() == 3);  // 125, 8 and 1 nodes
+}
+
+TEST_CASE("a near field written by hand is the triangle that it says", "[format]") {
+    const auto map = readBytes(withNear(handmadeNear()));
+    INFO((map ? "" : map.error().message));
+    REQUIRE(map);
+    REQUIRE(map->nearField(0).chunks.size() == 1);
+    const NearChunk& chunk = map->nearField(0).chunks[0];
+    CHECK(chunk.triangles() == 1);
+    const float expected[3][3] = {{0, 0, 0.5f}, {8, 0, 0.5f}, {0, 8, 1}};
+    for (int t = 0; t < NearChunk::kTriangles; ++t) {
+        for (int c = 0; c < 3; ++c) {
+            for (int axis = 0; axis < 3; ++axis)
+                CHECK(chunk.at(c, axis, t) == expected[c][axis]);
+        }
+    }
+}
+
+TEST_CASE("a reader that wants no near field passes it over, but checks it",
+          "[format][roundtrip]") {
+    const ShadowMap map = mapWith({noisyField(40, true, 7)});
+    Bytes file = encoded(map);
+    ReadLimits limits;
+    limits.nearField = false;
+    const auto without = readBytes(file, limits);
+    REQUIRE(without);
+    CHECK(without->nearField(0).empty());
+    CHECK_FALSE(identical(map, *without));
+    CHECK(identical(mapWith({NearField()}), *without));
+    // What was never looked into does not count, either.
+    limits.maxBytes = without->memoryBytes() + 40000;
+    CHECK(readBytes(file, limits));
+    limits.nearField = true;
+    checkRefused(file, ErrorCode::tooLarge, "ReadLimits::maxBytes", limits);
+
+    const Surgery s(file);
+    std::size_t at = 64;
+    for (const auto& part : s.parts) {
+        if (part.type == kNear) break;
+        at += blockSpan(part.payload.size());
+    }
+    file[at + 200] ^= 1;
+    limits = {};
+    limits.nearField = false;
+    checkRefused(file, ErrorCode::badFile, "block NEAR at offset", limits);
+}
+
+TEST_CASE("a map without near field has no block for it", "[format]") {
+    const Surgery s(encoded(mapWith({NearField()})));
+    for (const auto& part : s.parts)
+        CHECK(part.type != kNear);
+}
+
+TEST_CASE("the bytes of a near field do not depend on the number of threads",
+          "[format]") {
+    const ShadowMap map = mapWith({noisyField(9000, true, 11)});
+    const tbb::global_control allow(tbb::global_control::max_allowed_parallelism, 8);
+    const auto encodeWith = [&](int threads) {
+        tbb::task_arena arena(threads);
+        return arena.execute([&] { return encoded(map); });
+    };
+    const Bytes one = encodeWith(1);
+    CHECK(encodeWith(8) == one);
+    tbb::task_arena(8).execute([&] { CHECK(identical(map, *readBytes(one))); });
+}
+
+TEST_CASE("describe counts the triangles of a near field", "[format]") {
+    NearField field = noisyField(20, false, 13);
+    for (int t = 5; t < NearChunk::kTriangles; ++t) {  // the last of 5 triangles repeated
+        for (int c = 0; c < 3; ++c) {
+            for (int axis = 0; axis < 3; ++axis)
+                field.chunks[19].corner[c][axis][t] = field.chunks[19].corner[c][axis][4];
+        }
+    }
+    const TempFolder folder;
+    REQUIRE(writeMap(mapWith({std::move(field)}), folder / "a.mtsm"));
+    const auto d = describe(folder / "a.mtsm");
+    REQUIRE(d);
+    CHECK(d->nearChunks == 20);
+    CHECK(d->nearTriangles == 19 * 16 + 5);
+    CHECK(d->nearBytes == 20 * 312 + 3 * 384);  // two nodes, and one above them
+}
+
+TEST_CASE("a NEAR block that lies is refused and the message says where",
+          "[format][bad-input]") {
+    const auto check = [](const std::function<void(Bytes&)>& change,
+                          const std::string& words) {
+        checkRefused(withHandmade(change), ErrorCode::badFile, words);
+        checkRefused(withHandmade(change), ErrorCode::badFile, "block NEAR at offset");
+    };
+    const auto put = [](std::size_t at, auto value) {
+        return [=](Bytes& near) { poke(near, at, value); };
+    };
+    check([](Bytes& near) { near.clear(); }, "ends within its first 8 bytes");
+    check([](Bytes& near) { near.resize(9); }, "numbers of chunks");
+    check(put(0, 6u), "has 6 faces, not 1");
+    check(put(4, 0u), "parts of 0 chunks");
+    check(put(4, 4097u), "parts of 4097 chunks");
+    check(put(8, std::uint64_t(0)), "are left over");
+    check(put(8, std::uint64_t(90)), "whose records do not fit");
+    check(put(8, ~std::uint64_t(0)), "claims 18446744073709551615 chunks");
+    check(put(16, 0u), "claims 0 points");
+    check(put(16, 49u), "claims 49 points");
+    check(put(16, 4u), "no zstd frame");
+    check(put(20, 0u), "stores 0 bytes");
+    check(put(20, 91u), "stores 91 bytes for 90");
+    check([](Bytes& near) { near.push_back(0); }, "1 bytes are left over");
+    check([](Bytes& near) { near[24 + 24] = 1; }, "corner 0 is a point 1 before, of 0");
+    check([](Bytes& near) { near[24 + 24 + 47] = 255; }, "corner 47 is a point 255");
+    check([](Bytes& near) { near[24 + 24 + 47] = 0; }, "corner 47 is a point 0");
+    const auto addPoint = [](Bytes& near) {
+        poke(near, 16, NearPart{4, 96});
+        near.resize(near.size() + 6);
+    };
+    check(addPoint, "1 points that no corner names");
+    // What its numbers mean is checked with the map.
+    const auto checkNumber = [](std::size_t at, std::uint8_t byte,
+                                const std::string& words) {
+        checkRefused(withHandmade([=](Bytes& near) { near[24 + at] = byte; }),
+                     ErrorCode::badFile, words);
+    };
+    checkNumber(18 + 5, 0xbf, "axis w: starts at 0.5 with steps of -0.5");
+    checkNumber(18 + 3, 0x7f, "axis u");  // infinite
+    checkNumber(18 + 3, 0x7e, "axis u");  // 65535 steps are
+}
+
+TEST_CASE("chunks that a file only claims take no memory", "[format][bad-input]") {
+    // 30000 parts of 4096 chunks, 38 GB, in 240 kB.
+    Bytes near;
+    base::ByteWriter out(near);
+    out.put(NearFixed{1, 4096});
+    out.put(std::uint64_t(30000) * 4096);
+    for (int i = 0; i < 30000; ++i)
+        out.put(NearPart{4096, 1});
+    checkRefused(withNear(near), ErrorCode::tooLarge, "ReadLimits::maxBytes");
+    ReadLimits limits;
+    limits.maxBytes = std::numeric_limits<std::uint64_t>::max();
+    checkRefused(withNear(near), ErrorCode::badFile, "reaches past the end", limits);
+}
+
+TEST_CASE("random changes in a NEAR block give an error or a map, never a crash",
+          "[format][bad-input]") {
+    std::mt19937_64 random(23);
+    const Bytes files[] = {withNear(handmadeNear()),
+                           encoded(mapWith({noisyField(5, true, 1)})),
+                           encoded(mapWith({noisyField(4, false, 2)}), Codec::none)};
+    ReadLimits limits;
+    limits.maxBytes = 16 << 20;
+    int read = 0, refused = 0;
+    for (int i = 0; i < 3000; ++i) {
+        Surgery s(files[i % 3]);
+        Bytes& near = s.payload(kNear);
+        for (std::uint64_t n = 1 + random() % 3; n > 0; --n) {
+            const std::size_t at = random() % near.size();
+            if (random() % 8 == 0)
+                near.resize(random() % 2 ? at + 1 : near.size() + at % 40);
+            else
+                near[at] = std::uint8_t(random());
+        }
+        (readBytes(s.close(), limits) ? read : refused) += 1;
+    }
+    CHECK(refused > 300);
+    CHECK(read > 100);
+}
+
+TEST_CASE("a file with a near field that is cut or changed anywhere is refused",
+          "[format][bad-input]") {
+    const Bytes file = encoded(mapWith({noisyField(2, true, 5)}));
+    Bytes changed = file;
+    for (std::size_t at = 0; at < file.size(); ++at) {
+        INFO("byte " << at << " of " << file.size());
+        if (readBytes(Bytes(file.begin(), file.begin() + long(at))))
+            FAIL("accepted a file that is cut off");
+        changed[at] ^= 0x11;
+        if (readBytes(changed)) FAIL("accepted a changed byte");
+        changed[at] = file[at];
+    }
+}
