@@ -80,6 +80,8 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
     axisX_ = turn(seen.x), axisY_ = turn(seen.y), axisZ_ = turn(seen.z);
     base_ = turn(seen.base);
     capHeight_ = seen.capHeight;
+    nearHeight_ = float((getenv("NH") ? atof(getenv("NH")) : kNearHeight) *
+                        projection_.pixelFootprint(1.0));
     if (!seen.endless) centre_ = projection_.lightFromWorld(light_.centre());
 }
 
@@ -151,9 +153,7 @@ void BundleQuery::setLane(const Receiver& receiver, int lane,
 /// bundle with the layers' part of the rays.
 void BundleQuery::traceNear(trace::RayBundle& bundle,
                             const RayFates& fates) const noexcept {
-    std::uint16_t asked[trace::kMostBlocks];
-    std::copy_n(bundle.open, bundle.blocks, asked);
-    trace::traceNear(map_.nearField(0), bundle, fates.nearEnd, asked);
+    trace::traceNear(map_.nearField(0), bundle, fates.nearEnd, nearHeight_);
     for (int b = 0; b < bundle.blocks; ++b)
         std::copy_n(fates.layersBegin[b], trace::kLanes, bundle.begin[b]);
 }

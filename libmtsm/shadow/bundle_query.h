@@ -54,6 +54,7 @@ class BundleQuery {
     bool fixedAxes_;
     glm::dvec3 centre_, axisX_, axisY_, axisZ_, base_;
     double capHeight_;
+    float nearHeight_;  // RayBundle's measure of a plane's height
 };
 
 }  // namespace mtsm::shadow

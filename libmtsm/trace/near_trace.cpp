@@ -1,17 +1,18 @@
-// The boxes of the near field are walked with a hull of all rays that are asked for; in
-// the chunks that are left the 16 triangles' boxes are compared with it side by side; and
-// each triangle that is left is tested against 16 rays at once, block by block.
+// The boxes of the near field are walked with the box around all rays' parts; for each
+// chunk that is left, the receivers whose own rays may meet it are found, sixteen at a
+// time; for each of those the chunk's triangles that its rays may meet and that rise
+// above its tangent plane; and each triangle that is left is tested against sixteen rays
+// at once. Close to receivers that is far less than testing all rays together: most of a
+// chunk's triangles are the receivers' own surface.
 //
-// The hull is the box around all rays' first pieces, that around their second ones, and
-// so on: one box around slanted rays would hold far too much. What a ray meets must not
-// depend on the hull, that is, on the rays beside it. So a ray that is found to cross a
-// triangle is closed only if one of its own pieces' boxes overlaps the triangle's: the
-// hull contains them all, and passes nothing over that any of its rays could meet. Where
-// rounding decides, it decides for the ray alone. Boxes are a little larger than the
-// rays' pieces, so that no true crossing is lost.
+// What a ray meets must not depend on the rays beside it. So a ray that is found to cross
+// a triangle is closed only if its own part's box overlaps the triangle's: the boxes
+// around several rays contain those of each, and pass nothing over that any of them could
+// meet. Where rounding decides, it decides for the ray alone. Boxes are a little larger
+// than the rays' parts, so that no true crossing is lost.
 //
-// Fused multiply-adds are not used, for they would make one machine's answer another's
-// rounding.
+// Fused multiply-adds are not used where crossings are decided, for they would make one
+// machine's answer another's rounding.
 #include "trace/near_trace.h"
 
 #include <algorithm>
@@ -36,7 +37,6 @@ using Floats = hn::CappedTag<float, kLanes>;
 using Vec = hn::Vec<Floats>;
 using Mask = hn::Mask<Floats>;
 
-constexpr int kPieces = 4;
 constexpr int kTriangles = NearChunk::kTriangles;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 /// Of a ray's coordinates, added to its boxes; their rounding is an eighth of it.
@@ -62,6 +62,10 @@ struct Vec3 {
 
 Vec3 add(const Vec3& a, const Vec3& b) {
     return {hn::Add(a.x, b.x), hn::Add(a.y, b.y), hn::Add(a.z, b.z)};
+}
+
+Vec3 subtract(const Vec3& a, const Vec3& b) {
+    return {hn::Sub(a.x, b.x), hn::Sub(a.y, b.y), hn::Sub(a.z, b.z)};
 }
 
 Vec dot(const Vec3& a, const Vec3& b) {
@@ -105,6 +109,12 @@ struct Box {
         }
         return true;
     }
+    void include(const Box& b) {
+        for (int axis = 0; axis < 3; ++axis) {
+            low[axis] = std::min(low[axis], b.low[axis]);
+            high[axis] = std::max(high[axis], b.high[axis]);
+        }
+    }
 };
 
 /// The corners of a chunk's triangles, and their boxes.
@@ -142,270 +152,312 @@ struct Triangles {
     }
 };
 
+/// Seen from a receiver: the planes through the edges of 16 triangles, and how far away
+/// their planes are.
+struct SeenTriangles {
+    alignas(64) float side[3][3][kTriangles];  // [edge][axis][triangle]
+    alignas(64) float terms[3][kTriangles];
+    alignas(64) float normal[3][kTriangles];
+    alignas(64) float distance[kTriangles];
+
+    SeenTriangles(const Triangles& triangles, const float (&start)[3]) {
+        const Floats d;
+        for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
+            const auto load = [&](const float(&p)[3][kTriangles]) {
+                return Vec3{hn::Load(d, p[0] + t), hn::Load(d, p[1] + t),
+                            hn::Load(d, p[2] + t)};
+            };
+            const Vec3 origin = broadcast(d, start);
+            Vec3 corners[3], edges[3];
+            for (int c = 0; c < 3; ++c)
+                corners[c] = load(triangles.corner[c]);
+            for (int c = 0; c < 3; ++c)
+                edges[c] = subtract(corners[(c + 1) % 3], corners[c]);
+            Vec3 furthest = {hn::Zero(d), hn::Zero(d), hn::Zero(d)};
+            for (int c = 0; c < 3; ++c) {
+                // An edge from A to B spans (A + B) x (B - A) with the start: twice A x
+                // B, but without its cancellation.
+                const Vec3 middle = add(subtract(corners[c], origin),
+                                        subtract(corners[(c + 1) % 3], origin));
+                store(cross(middle, edges[c]), side[c], t);
+                furthest = max(furthest, abs(middle));
+            }
+            const Vec3 longest = subtract(load(triangles.high), load(triangles.low));
+            store(crossTerms(furthest, longest), terms, t);
+            const Vec3 n = cross(edges[0], edges[1]);
+            store(n, normal, t);
+            hn::Store(dot(n, subtract(corners[0], origin)), d, distance + t);
+        }
+    }
+
+  private:
+    static void store(const Vec3& v, float (&to)[3][kTriangles], std::size_t t) {
+        const Floats d;
+        hn::Store(v.x, d, to[0] + t), hn::Store(v.y, d, to[1] + t);
+        hn::Store(v.z, d, to[2] + t);
+    }
+};
+
 /// One call of traceNear().
 class Walk {
   public:
     Walk(const NearField& field, RayBundle& rays, const float (*end)[kLanes],
-         const std::uint16_t* asked)
-        : field_(field), rays_(rays), end_(end) {
-        for (int b = 0; b < rays_.blocks; ++b) {
-            left_[b] = rays_.open[b] & asked[b];
-            if (left_[b]) blocksLeft_ |= std::uint64_t(1) << b;
-        }
-        const float* const starts[3] = {rays_.u, rays_.v, rays_.w};
-        const float(*const deltas[3])[kLanes] = {rays_.du, rays_.dv, rays_.dw};
-        for (int axis = 0; axis < 3; ++axis)
-            boundRays(axis, starts[axis], deltas[axis]);
+         float height)
+        : field_(field), rays_(rays), height_(height) {
+        turn(end);
+        for (std::uint32_t next = lanesLeft_; next; next &= next - 1)
+            boundLane(std::countr_zero(next));
     }
 
     void run() {
-        if (blocksLeft_ && !field_.levels.empty()) node(field_.levels.size() - 1, 0);
+        if (lanesLeft_ && !field_.levels.empty()) node(field_.levels.size() - 1, 0);
     }
 
   private:
-    void boundRays(int axis, const float* start, const float (*delta)[kLanes]);
-    [[nodiscard]] Box pieceOf(int b, int lane, int piece) const;
-    [[nodiscard]] std::uint32_t inHull(const float (&low)[3][kTriangles],
-                                       const float (&high)[3][kTriangles]) const;
-    [[nodiscard]] std::uint64_t blocksNear(const Box& box) const;
+    /// From [block][lane] to [lane][block].
+    void turn(const float (*end)[kLanes]) {
+        for (int lane = 0; lane < kLanes; ++lane) {
+            left_[lane] = 0;
+            for (int b = 0; b < rays_.blocks; ++b) {
+                delta_[lane][0][b] = rays_.du[b][lane];
+                delta_[lane][1][b] = rays_.dv[b][lane];
+                delta_[lane][2][b] = rays_.dw[b][lane];
+                begin_[lane][b] = rays_.begin[b][lane];
+                end_[lane][b] = end[b][lane];
+                left_[lane] |= std::uint64_t(rays_.open[b] >> lane & 1) << b;
+            }
+            if (left_[lane]) lanesLeft_ |= std::uint16_t(1u << lane);
+        }
+    }
+
+    void startOf(int lane, float (&start)[3]) const {
+        start[0] = rays_.u[lane], start[1] = rays_.v[lane], start[2] = rays_.w[lane];
+    }
+
+    void boundLane(int lane);
+    [[nodiscard]] Box boxOf(int lane, int b) const;
     void node(std::size_t level, std::size_t index);
-    void chunk(const NearChunk& chunk);
-    void triangle(const Triangles& triangles, int t);
-    void close(int b, std::uint32_t hits, const Box& box);
+    [[nodiscard]] std::uint32_t lanesAt(const Box& box) const;
+    void chunk(const NearChunk& chunk, std::uint32_t lanes);
+    [[nodiscard]] std::uint32_t trianglesFor(int lane, const Triangles& triangles) const;
+    void cross(int lane, const SeenTriangles& seen, int t, const Box& box);
+    void close(int lane, int b);
 
     const NearField& field_;
     RayBundle& rays_;
-    const float (*const end_)[kLanes];
-    std::uint16_t left_[kMostBlocks];  ///< asked for and open
-    std::uint64_t blocksLeft_ = 0;     ///< with a ray that is
-    Box hull_[kPieces];
-    /// Of each block's rays, all pieces; of blocks without a ray empty.
-    alignas(64) float low_[3][kMostBlocks], high_[3][kMostBlocks];
+    float height_;
+    Box hull_;
+    /// Boxes around the open rays' parts, [axis][lane]; of lanes without any empty.
+    alignas(64) float low_[3][kLanes], high_[3][kLanes];
+    alignas(64) float delta_[kLanes][3][kMostBlocks];
+    alignas(64) float begin_[kLanes][kMostBlocks], end_[kLanes][kMostBlocks];
+    std::uint64_t left_[kLanes];   ///< open, one bit a block
+    std::uint16_t lanesLeft_ = 0;  ///< with a ray that is
 };
 
-/// One axis of hull and blocks. pieceOf() is the same for one ray, to the last bit.
-void Walk::boundRays(int axis, const float* start, const float (*delta)[kLanes]) {
+/// boxOf() for one ray is the same to the last bit.
+void Walk::boundLane(int lane) {
     const Floats d;
-    const Vec none = hn::Set(d, kInfinity);
-    // By piece, over all blocks; lanes are brought together last.
-    alignas(64) float lowest[kPieces][kLanes], highest[kPieces][kLanes];
-    for (int piece = 0; piece < kPieces; ++piece) {
-        std::fill_n(lowest[piece], kLanes, kInfinity);
-        std::fill_n(highest[piece], kLanes, -kInfinity);
-    }
-    for (int b = 0; b < (rays_.blocks + kLanes - 1) / kLanes * kLanes; ++b) {
-        low_[axis][b] = kInfinity;
-        high_[axis][b] = -kInfinity;
-    }
-    for (std::uint64_t next = blocksLeft_; next; next &= next - 1) {
-        const int b = std::countr_zero(next);
-        Vec lowOfBlock = none, highOfBlock = hn::Neg(none);
-        for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
-            const Mask asked = maskOf(d, std::uint32_t(left_[b]) >> i);
-            const Vec begin = hn::Load(d, rays_.begin[b] + i);
-            const Vec length = hn::Sub(hn::Load(d, end_[b] + i), begin);
-            const Vec origin = hn::Load(d, start + i), way = hn::Load(d, delta[b] + i);
-            const Vec margin =
-                hn::Mul(hn::Add(hn::Abs(origin), hn::Abs(way)), hn::Set(d, kMargin));
-            Vec from = hn::Add(origin, hn::Mul(begin, way));
-            for (int piece = 0; piece < kPieces; ++piece) {
-                const Vec share = hn::Set(d, float(piece + 1) / float(kPieces));
-                const Vec s = hn::Add(begin, hn::Mul(length, share));
-                const Vec to = hn::Add(origin, hn::Mul(s, way));
-                const Vec low =
-                    hn::IfThenElse(asked, hn::Sub(hn::Min(from, to), margin), none);
-                const Vec high = hn::IfThenElse(asked, hn::Add(hn::Max(from, to), margin),
-                                                hn::Neg(none));
-                hn::Store(hn::Min(hn::Load(d, lowest[piece] + i), low), d,
-                          lowest[piece] + i);
-                hn::Store(hn::Max(hn::Load(d, highest[piece] + i), high), d,
-                          highest[piece] + i);
-                lowOfBlock = hn::Min(lowOfBlock, low);
-                highOfBlock = hn::Max(highOfBlock, high);
-                from = to;
-            }
-        }
-        low_[axis][b] = hn::GetLane(hn::MinOfLanes(d, lowOfBlock));
-        high_[axis][b] = hn::GetLane(hn::MaxOfLanes(d, highOfBlock));
-    }
-    for (int piece = 0; piece < kPieces; ++piece) {
-        hull_[piece].low[axis] = *std::min_element(lowest[piece], lowest[piece] + kLanes);
-        hull_[piece].high[axis] =
-            *std::max_element(highest[piece], highest[piece] + kLanes);
-    }
-}
-
-Box Walk::pieceOf(int b, int lane, int piece) const {
-    const float begin = rays_.begin[b][lane], length = end_[b][lane] - begin;
-    const float starts[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
-    const float deltas[3] = {rays_.du[b][lane], rays_.dv[b][lane], rays_.dw[b][lane]};
-    const auto share = [](int i) { return float(i) / float(kPieces); };
-    const float first = piece == 0 ? begin : begin + length * share(piece);
-    const float last = begin + length * share(piece + 1);
+    float start[3];
+    startOf(lane, start);
     Box box;
     for (int axis = 0; axis < 3; ++axis) {
-        const float start = starts[axis], delta = deltas[axis];
-        const float margin = (std::abs(start) + std::abs(delta)) * kMargin;
-        const float from = start + first * delta, to = start + last * delta;
+        const Vec origin = hn::Set(d, start[axis]);
+        Vec lowest = hn::Set(d, kInfinity), highest = hn::Neg(lowest);
+        for (int b = 0; b < rays_.blocks; b += int(hn::Lanes(d))) {
+            const Mask open = maskOf(d, std::uint32_t(left_[lane] >> b));
+            const Vec way = hn::Load(d, delta_[lane][axis] + b);
+            const Vec margin =
+                hn::Mul(hn::Add(hn::Abs(origin), hn::Abs(way)), hn::Set(d, kMargin));
+            const Vec from = hn::Add(origin, hn::Mul(hn::Load(d, begin_[lane] + b), way));
+            const Vec to = hn::Add(origin, hn::Mul(hn::Load(d, end_[lane] + b), way));
+            const Vec low = hn::Sub(hn::Min(from, to), margin);
+            const Vec high = hn::Add(hn::Max(from, to), margin);
+            lowest = hn::Min(lowest, hn::IfThenElse(open, low, lowest));
+            highest = hn::Max(highest, hn::IfThenElse(open, high, highest));
+        }
+        box.low[axis] = hn::GetLane(hn::MinOfLanes(d, lowest));
+        box.high[axis] = hn::GetLane(hn::MaxOfLanes(d, highest));
+    }
+    for (int axis = 0; axis < 3; ++axis) {
+        low_[axis][lane] = box.low[axis];
+        high_[axis][lane] = box.high[axis];
+    }
+    hull_.include(box);
+}
+
+Box Walk::boxOf(int lane, int b) const {
+    float start[3];
+    startOf(lane, start);
+    Box box;
+    for (int axis = 0; axis < 3; ++axis) {
+        const float way = delta_[lane][axis][b];
+        const float margin = (std::abs(start[axis]) + std::abs(way)) * kMargin;
+        const float from = start[axis] + begin_[lane][b] * way;
+        const float to = start[axis] + end_[lane][b] * way;
         box.low[axis] = std::min(from, to) - margin;
         box.high[axis] = std::max(from, to) + margin;
     }
     return box;
 }
 
-/// Of 16 boxes, those that overlap some piece of the hull.
-std::uint32_t Walk::inHull(const float (&low)[3][kTriangles],
-                           const float (&high)[3][kTriangles]) const {
+void Walk::node(std::size_t level, std::size_t index) {
+    const Floats d;
+    const NearBoxes& boxes = field_.levels[level][index];
+    std::uint32_t found = 0;
+    for (std::size_t i = 0; i < NearBoxes::kChildren; i += hn::Lanes(d)) {
+        Mask overlap = hn::Le(hn::LoadU(d, boxes.low[0] + i), hn::Set(d, hull_.high[0]));
+        for (int axis = 0; axis < 3; ++axis) {
+            overlap = hn::And(overlap, hn::Le(hn::LoadU(d, boxes.low[axis] + i),
+                                              hn::Set(d, hull_.high[axis])));
+            overlap = hn::And(overlap, hn::Ge(hn::LoadU(d, boxes.high[axis] + i),
+                                              hn::Set(d, hull_.low[axis])));
+        }
+        found |= bitsOf(d, overlap) << i;
+    }
+    for (; found && lanesLeft_; found &= found - 1) {
+        const int i = std::countr_zero(found);
+        const std::size_t child = NearBoxes::kChildren * index + std::size_t(i);
+        if (level > 0) {
+            node(level - 1, child);
+            continue;
+        }
+        Box box;
+        for (int axis = 0; axis < 3; ++axis) {
+            box.low[axis] = boxes.low[axis][i];
+            box.high[axis] = boxes.high[axis][i];
+        }
+        const std::uint32_t lanes = lanesAt(box) & lanesLeft_;
+        if (lanes) chunk(field_.chunks[child], lanes);
+    }
+}
+
+/// Receivers whose rays may meet something in the box that lies high enough above their
+/// planes.
+std::uint32_t Walk::lanesAt(const Box& box) const {
+    const Floats d;
+    std::uint32_t lanes = 0;
+    for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
+        Mask may = hn::Le(hn::Load(d, low_[0] + k), hn::Set(d, box.high[0]));
+        for (int axis = 0; axis < 3; ++axis) {
+            may = hn::And(
+                may, hn::Le(hn::Load(d, low_[axis] + k), hn::Set(d, box.high[axis])));
+            may = hn::And(
+                may, hn::Ge(hn::Load(d, high_[axis] + k), hn::Set(d, box.low[axis])));
+        }
+        if (rays_.hasPlanes) {
+            const float* const normals[3] = {rays_.planeU, rays_.planeV, rays_.planeW};
+            const float* const starts[3] = {rays_.u, rays_.v, rays_.w};
+            Vec height = hn::Zero(d);
+            for (int axis = 0; axis < 3; ++axis) {
+                const Vec n = hn::Load(d, normals[axis] + k);
+                const Vec start = hn::Load(d, starts[axis] + k);
+                height = hn::Add(
+                    height,
+                    hn::Max(hn::Mul(n, hn::Sub(hn::Set(d, box.low[axis]), start)),
+                            hn::Mul(n, hn::Sub(hn::Set(d, box.high[axis]), start))));
+            }
+            may = hn::And(may, hn::Gt(height, hn::Set(d, height_)));
+        }
+        lanes |= bitsOf(d, may) << k;
+    }
+    return lanes;
+}
+
+void Walk::chunk(const NearChunk& chunk, std::uint32_t lanes) {
+    const Triangles triangles(chunk);
+    const std::uint32_t all = (1u << chunk.triangles()) - 1;
+    for (; lanes; lanes &= lanes - 1) {
+        const int lane = std::countr_zero(lanes);
+        std::uint32_t found = all & trianglesFor(lane, triangles);
+        if (found == 0) continue;
+        float start[3];
+        startOf(lane, start);
+        const SeenTriangles seen(triangles, start);
+        for (; found && left_[lane]; found &= found - 1) {
+            const int t = std::countr_zero(found);
+            cross(lane, seen, t, triangles.box(t));
+        }
+    }
+}
+
+/// Triangles that the receiver's rays may meet.
+std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
     const Floats d;
     std::uint32_t found = 0;
-    for (std::size_t i = 0; i < kTriangles; i += hn::Lanes(d)) {
-        Vec lows[3], highs[3];
+    const float normal[3] = {rays_.planeU[lane], rays_.planeV[lane], rays_.planeW[lane]};
+    float start[3];
+    startOf(lane, start);
+    for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
+        Mask may = hn::Le(hn::Load(d, triangles.low[0] + t), hn::Set(d, high_[0][lane]));
         for (int axis = 0; axis < 3; ++axis) {
-            lows[axis] = hn::LoadU(d, low[axis] + i);
-            highs[axis] = hn::LoadU(d, high[axis] + i);
+            may = hn::And(may, hn::Le(hn::Load(d, triangles.low[axis] + t),
+                                      hn::Set(d, high_[axis][lane])));
+            may = hn::And(may, hn::Ge(hn::Load(d, triangles.high[axis] + t),
+                                      hn::Set(d, low_[axis][lane])));
         }
-        std::uint32_t bits = 0;
-        for (const Box& piece : hull_) {
-            Mask overlap = hn::Le(lows[0], hn::Set(d, piece.high[0]));
-            for (int axis = 0; axis < 3; ++axis) {
-                overlap =
-                    hn::And(overlap, hn::Le(lows[axis], hn::Set(d, piece.high[axis])));
-                overlap =
-                    hn::And(overlap, hn::Ge(highs[axis], hn::Set(d, piece.low[axis])));
+        if (rays_.hasPlanes) {
+            Vec highest = hn::Set(d, -kInfinity);
+            for (const auto& corner : triangles.corner) {
+                Vec height = hn::Zero(d);
+                for (int axis = 0; axis < 3; ++axis) {
+                    height =
+                        hn::Add(height, hn::Mul(hn::Set(d, normal[axis]),
+                                                hn::Sub(hn::Load(d, corner[axis] + t),
+                                                        hn::Set(d, start[axis]))));
+                }
+                highest = hn::Max(highest, height);
             }
-            bits |= bitsOf(d, overlap);
+            may = hn::And(may, hn::Gt(highest, hn::Set(d, height_)));
         }
-        found |= bits << i;
+        found |= bitsOf(d, may) << t;
     }
     return found;
 }
 
-void Walk::node(std::size_t level, std::size_t index) {
-    const NearBoxes& boxes = field_.levels[level][index];
-    for (std::uint32_t found = inHull(boxes.low, boxes.high); found && blocksLeft_;
-         found &= found - 1) {
-        const std::size_t child =
-            NearBoxes::kChildren * index + std::size_t(std::countr_zero(found));
-        if (level > 0)
-            node(level - 1, child);
-        else
-            chunk(field_.chunks[child]);
-    }
-}
-
-void Walk::chunk(const NearChunk& chunk) {
-    const Triangles triangles(chunk);
-    const std::uint32_t all = (1u << chunk.triangles()) - 1;
-    for (std::uint32_t found = all & inHull(triangles.low, triangles.high);
-         found && blocksLeft_; found &= found - 1)
-        triangle(triangles, std::countr_zero(found));
-}
-
-/// Blocks whose box overlaps this one.
-std::uint64_t Walk::blocksNear(const Box& box) const {
+/// Closes the receiver's rays that cross a triangle.
+void Walk::cross(int lane, const SeenTriangles& seen, int t, const Box& box) {
     const Floats d;
-    std::uint64_t blocks = 0;
+    const auto at = [&](const float(&p)[3][kTriangles]) {
+        return Vec3{hn::Set(d, p[0][t]), hn::Set(d, p[1][t]), hn::Set(d, p[2][t])};
+    };
+    const Vec3 side[3] = {at(seen.side[0]), at(seen.side[1]), at(seen.side[2])};
+    const Vec3 terms = at(seen.terms), n = at(seen.normal);
+    const Vec distance = hn::Set(d, seen.distance[t]);
     for (int b = 0; b < rays_.blocks; b += int(hn::Lanes(d))) {
-        Mask overlap = hn::Le(hn::Load(d, low_[0] + b), hn::Set(d, box.high[0]));
-        for (int axis = 0; axis < 3; ++axis) {
-            overlap = hn::And(
-                overlap, hn::Le(hn::Load(d, low_[axis] + b), hn::Set(d, box.high[axis])));
-            overlap = hn::And(
-                overlap, hn::Ge(hn::Load(d, high_[axis] + b), hn::Set(d, box.low[axis])));
-        }
-        blocks |= std::uint64_t(bitsOf(d, overlap)) << b;
-    }
-    return blocks;
-}
-
-/// Closes the rays that cross a triangle.
-void Walk::triangle(const Triangles& triangles, int t) {
-    const Floats d;
-    const Box box = triangles.box(t);
-    const std::uint64_t blocks = blocksLeft_ & blocksNear(box);
-    if (blocks == 0) return;
-
-    float corner[3][3], edge[3][3];
-    for (int c = 0; c < 3; ++c) {
-        for (int axis = 0; axis < 3; ++axis)
-            corner[c][axis] = triangles.corner[c][axis][t];
-    }
-    for (int c = 0; c < 3; ++c) {
-        for (int axis = 0; axis < 3; ++axis)
-            edge[c][axis] = corner[(c + 1) % 3][axis] - corner[c][axis];
-    }
-    float longest[3];
-    for (int axis = 0; axis < 3; ++axis)
-        longest[axis] = box.high[axis] - box.low[axis];
-    const float normal[3] = {edge[0][1] * edge[1][2] - edge[0][2] * edge[1][1],
-                             edge[0][2] * edge[1][0] - edge[0][0] * edge[1][2],
-                             edge[0][0] * edge[1][1] - edge[0][1] * edge[1][0]};
-    for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
-        // Seen from the rays' start: the corners, the planes through the edges, and how
-        // far it is to the triangle's plane.
-        const Vec3 start = {hn::Load(d, rays_.u + i), hn::Load(d, rays_.v + i),
-                            hn::Load(d, rays_.w + i)};
-        Vec3 to[3], side[3];
-        for (int c = 0; c < 3; ++c)
-            to[c] = {hn::Sub(hn::Set(d, corner[c][0]), start.x),
-                     hn::Sub(hn::Set(d, corner[c][1]), start.y),
-                     hn::Sub(hn::Set(d, corner[c][2]), start.z)};
-        // An edge from A to B spans (A + B) x (B - A) with the start: twice A x B, but
-        // without its cancellation.
-        Vec3 furthest = {hn::Zero(d), hn::Zero(d), hn::Zero(d)};
-        for (int c = 0; c < 3; ++c) {
-            const Vec3 middle = add(to[c], to[(c + 1) % 3]);
-            side[c] = cross(middle, broadcast(d, edge[c]));
-            furthest = max(furthest, abs(middle));
-        }
-        const Vec3 terms = crossTerms(furthest, broadcast(d, longest));
-        const Vec3 n = broadcast(d, normal);
-        const Vec distance = dot(n, to[0]);
-        for (std::uint64_t next = blocks; next; next &= next - 1) {
-            const int b = std::countr_zero(next);
-            const std::uint32_t wanted = std::uint32_t(left_[b]) >> i;
-            if (wanted == 0) continue;
-            const Vec3 delta = {hn::Load(d, rays_.du[b] + i),
-                                hn::Load(d, rays_.dv[b] + i),
-                                hn::Load(d, rays_.dw[b] + i)};
-            const Vec e0 = dot(delta, side[0]), e1 = dot(delta, side[1]),
-                      e2 = dot(delta, side[2]);
-            const Vec zero = hn::Mul(dot(abs(delta), terms), hn::Set(d, kRounding));
-            const Mask through =
-                hn::Or(hn::Ge(hn::Min(hn::Min(e0, e1), e2), hn::Neg(zero)),
-                       hn::Le(hn::Max(hn::Max(e0, e1), e2), zero));
-            // It is met at s = distance / speed.
-            const Vec speed = dot(delta, n);
-            const Vec towards = hn::Xor(distance, hn::And(speed, hn::Set(d, -0.0f)));
-            const Vec rate = hn::Abs(speed);
-            const Mask behind =
-                hn::Gt(towards, hn::Mul(rate, hn::Load(d, rays_.begin[b] + i)));
-            const Mask before = hn::Le(towards, hn::Mul(rate, hn::Load(d, end_[b] + i)));
-            const std::uint32_t hits =
-                wanted & bitsOf(d, hn::And(through, hn::And(behind, before)));
-            if (hits) close(b, hits << i, box);
+        const auto open = std::uint32_t(left_[lane] >> b) & ((1u << hn::Lanes(d)) - 1);
+        if (open == 0) continue;
+        const Vec3 delta = {hn::Load(d, delta_[lane][0] + b),
+                            hn::Load(d, delta_[lane][1] + b),
+                            hn::Load(d, delta_[lane][2] + b)};
+        const Vec e0 = dot(delta, side[0]), e1 = dot(delta, side[1]),
+                  e2 = dot(delta, side[2]);
+        const Vec zero = hn::Mul(dot(abs(delta), terms), hn::Set(d, kRounding));
+        const Mask through = hn::Or(hn::Ge(hn::Min(hn::Min(e0, e1), e2), hn::Neg(zero)),
+                                    hn::Le(hn::Max(hn::Max(e0, e1), e2), zero));
+        // It is met at s = distance / speed.
+        const Vec speed = dot(delta, n);
+        const Vec towards = hn::Xor(distance, hn::And(speed, hn::Set(d, -0.0f)));
+        const Vec rate = hn::Abs(speed);
+        const Mask behind = hn::Gt(towards, hn::Mul(rate, hn::Load(d, begin_[lane] + b)));
+        const Mask before = hn::Le(towards, hn::Mul(rate, hn::Load(d, end_[lane] + b)));
+        std::uint32_t hits = open & bitsOf(d, hn::And(through, hn::And(behind, before)));
+        for (; hits; hits &= hits - 1) {
+            const int block = b + std::countr_zero(hits);
+            if (boxOf(lane, block).overlaps(box)) close(lane, block);
         }
     }
 }
 
-/// Closes those of a block's rays of which a piece overlaps the box.
-void Walk::close(int b, std::uint32_t hits, const Box& box) {
-    for (; hits; hits &= hits - 1) {
-        const int lane = std::countr_zero(hits);
-        for (int piece = 0; piece < kPieces; ++piece) {
-            if (!pieceOf(b, lane, piece).overlaps(box)) continue;
-            const auto bit = std::uint16_t(1u << lane);
-            rays_.open[b] = std::uint16_t(rays_.open[b] & ~bit);
-            left_[b] = std::uint16_t(left_[b] & ~bit);
-            if (left_[b] == 0) blocksLeft_ &= ~(std::uint64_t(1) << b);
-            break;
-        }
-    }
+void Walk::close(int lane, int b) {
+    rays_.open[b] = std::uint16_t(rays_.open[b] & ~(1u << lane));
+    left_[lane] &= ~(std::uint64_t(1) << b);
+    if (left_[lane] == 0) lanesLeft_ = std::uint16_t(lanesLeft_ & ~(1u << lane));
 }
 
 void traceNearAt(const NearField& field, RayBundle& rays, const float (*end)[kLanes],
-                 const std::uint16_t* asked) {
-    Walk(field, rays, end, asked).run();
+                 float height) {
+    Walk(field, rays, end, height).run();
 }
 
 }  // namespace HWY_NAMESPACE
@@ -418,8 +470,8 @@ namespace mtsm::trace {
 HWY_EXPORT(traceNearAt);
 
 void traceNear(const NearField& field, RayBundle& rays, const float (*end)[kLanes],
-               const std::uint16_t* asked) noexcept {
-    HWY_DYNAMIC_DISPATCH(traceNearAt)(field, rays, end, asked);
+               float height) noexcept {
+    HWY_DYNAMIC_DISPATCH(traceNearAt)(field, rays, end, height);
 }
 
 }  // namespace mtsm::trace

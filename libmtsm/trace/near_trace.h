@@ -12,12 +12,12 @@
 
 namespace mtsm::trace {
 
-/// Closes every ray that is open and whose bit in `asked` [block] is set, if it crosses a
-/// triangle at some s with begin < s <= end [block][lane]. No other ray is changed, and
-/// what becomes of one depends on that ray alone; the same on every machine. Needs
-/// finite rays. Does not allocate; time grows with the triangles near the rays and the
-/// logarithm of the others.
+/// Closes every open ray that crosses a triangle at some s with begin < s <= end
+/// [block][lane]. Of receivers with a plane only triangles count that rise more than
+/// `height` above it, in the bundle's measure. What becomes of a ray depends on that ray
+/// alone; the same on every machine. Needs finite rays. Does not allocate; time grows
+/// with the triangles near the rays and the logarithm of the others.
 void traceNear(const NearField& field, RayBundle& rays, const float (*end)[kLanes],
-               const std::uint16_t* asked) noexcept;
+               float height) noexcept;
 
 }  // namespace mtsm::trace
