@@ -24,8 +24,11 @@ constexpr double kNearHeight = 0.02;
 constexpr double kNearStart = 0.1;
 
 LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
-                 const ShadowOptions& options, bool normals) {
+                 const ShadowOptions& options, bool normals,
+                 std::optional<std::uint32_t> onlyKey) {
     LightRays::Setting setting;
+    setting.seed = options.seed;
+    setting.onlyKey = onlyKey;
     setting.samples =
         light.isPoint() ? 1u : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
     setting.normals = normals;
@@ -48,12 +51,12 @@ std::uint32_t spread(std::uint32_t x) {
     return (x | x << 2) & 0x09249249u;
 }
 
-void addLanes(const std::uint16_t mask, float* sums, const float* weights) {
-    for (int i = 0; i < trace::kLanes; ++i)
-        sums[i] += (mask >> i & 1) ? weights[i] : 0.0f;
+float sum(std::uint32_t rays, const float* weights) {
+    float total = 0.0f;
+    for (; rays; rays &= rays - 1)
+        total += weights[std::countr_zero(rays)];
+    return total;
 }
-
-constexpr float kOnes[trace::kLanes] = {1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
 
 }  // namespace
 
@@ -63,15 +66,22 @@ bool BundleQuery::serves(const ShadowMap& map, const ShadowOptions& options) noe
 }
 
 BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
-                         const ShadowOptions& options)
+                         const ShadowOptions& options, const Receiver* only)
     : map_(map),
       projection_(map.projection(0)),
       light_(light),
       options_(options),
       bias_(biasOf(map, options.bias)),
       tree_(trace::patchTrees(map)[0]),
-      withNormals_(raysOf(map, light_, options, true)),
-      without_(raysOf(map, light_, options, false)) {
+      samples_(light_.isPoint()
+                   ? 1u
+                   : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples))) {
+    std::optional<std::uint32_t> key;
+    if (only) key = keyOf(*only);
+    if (!only || only->normal != glm::dvec3(0.0))
+        withNormals_.emplace(raysOf(map, light_, options, true, key));
+    if (!only || only->normal == glm::dvec3(0.0))
+        without_.emplace(raysOf(map, light_, options, false, key));
     const light::LightView seen = light_.view(projection_.eye + projection_.forward);
     fixedAxes_ = seen.endless || seen.domain != light::LightView::Domain::cap;
     const auto turn = [&](glm::dvec3 d) {
@@ -99,13 +109,11 @@ std::uint32_t BundleQuery::placeOf(glm::dvec3 point) const noexcept {
     const glm::dvec3 p = projection_.lightFromWorld(point);
     const glm::dvec2 r = projection_.rasterFromLight(p);
     const double footprint = projection_.pixelFootprint(1.0);
-    // In windows away from its middle; depth too, and footprints grow with depth, if
-    // perspective.
+    // In windows away from its middle; depth too.
     const double width = std::max(map_.info().width, map_.info().height);
     const ZRange range = map_.zRange(0);
-    const double away = projection_.kind == ProjectionKind::perspective
-                            ? std::log(p.z / range.max)
-                            : p.z - range.max;
+    const bool perspective = projection_.kind == ProjectionKind::perspective;
+    const double away = perspective ? 1.0 - range.max / p.z : p.z - range.max;
     const double places[] = {r.x / width - 0.5, r.y / width - 0.5,
                              away / (footprint * width)};
     std::uint32_t place = 0;
@@ -116,6 +124,10 @@ std::uint32_t BundleQuery::placeOf(glm::dvec3 point) const noexcept {
                  << i;
     }
     return place;
+}
+
+std::uint32_t BundleQuery::keyOf(const Receiver& receiver) const noexcept {
+    return std::uint32_t(base::pointKey(receiver.point, options_.seed));
 }
 
 void BundleQuery::setLane(const Receiver& receiver, int lane,
@@ -146,7 +158,7 @@ void BundleQuery::setLane(const Receiver& receiver, int lane,
         projection_.lightFromWorldDirection(receiver.normal));
     lanes.capHeight[lane] = float(capHeight);
     lanes.start[lane] = float(kStartBiases * bias_.at(p.z));
-    lanes.key[lane] = std::uint32_t(base::pointKey(receiver.point, options_.seed));
+    lanes.key[lane] = keyOf(receiver);
 }
 
 /// What is close to the receivers, as exactly as the casters were given; leaves the
@@ -154,55 +166,46 @@ void BundleQuery::setLane(const Receiver& receiver, int lane,
 void BundleQuery::traceNear(trace::RayBundle& bundle,
                             const RayFates& fates) const noexcept {
     trace::traceNear(map_.nearField(0), bundle, fates.nearEnd, nearHeight_);
-    for (int b = 0; b < bundle.blocks; ++b)
-        std::copy_n(fates.layersBegin[b], trace::kLanes, bundle.begin[b]);
+    for (int row = 0; row < bundle.receivers * bundle.groups; ++row)
+        std::copy_n(fates.layersBegin[row], trace::kLanes, bundle.begin[row]);
 }
 
 void BundleQuery::shadowFactors(const Receiver* receivers, int count, float* out,
                                 QueryStats& stats) const noexcept {
-    using Layout = LightRays::Layout;
     const bool normals = receivers[0].normal != glm::dvec3(0.0);
     const bool weights = normals && options_.weight == Weight::cosine;
-    const LightRays& rays = normals ? withNormals_ : without_;
-    const Layout layout = count > 1 ? Layout::receivers : Layout::cells;
+    const LightRays& rays = *(normals ? withNormals_ : without_);
     ReceiverLanes lanes;
     lanes.count = count;
-    for (int i = 0; i < trace::kLanes; ++i)
+    for (int i = 0; i < trace::kMostReceivers; ++i)
         setLane(receivers[i < count ? i : 0], i, lanes);
 
     trace::RayBundle bundle;
     RayFates fates;
-    float visible[trace::kLanes] = {}, total[trace::kLanes] = {};
-    float above[trace::kLanes] = {};  // rays above the horizon
-    for (std::uint32_t index = 0; index < rays.bundles(layout); ++index) {
-        rays.fill(lanes, layout, index, bundle, fates);
-        for (int b = 0; b < bundle.blocks; ++b) {
-            const auto counted = std::uint16_t(bundle.open[b] | fates.clear[b]);
+    float visible[trace::kMostReceivers] = {}, total[trace::kMostReceivers] = {};
+    bool above[trace::kMostReceivers] = {};  // has it rays above its horizon?
+    const int atOnce = trace::kMostRows / count;
+    for (int first = 0; first < rays.groups(); first += atOnce) {
+        rays.fill(lanes, first, std::min(atOnce, rays.groups() - first), bundle, fates);
+        for (int row = 0; row < bundle.receivers * bundle.groups; ++row) {
+            const std::uint32_t counted = bundle.open[row] | fates.clear[row];
             stats.rays += std::uint64_t(std::popcount(counted));
-            if (!weights) continue;
-            addLanes(counted, above, kOnes);
-            addLanes(counted, total, fates.weight[b]);
+            above[row / bundle.groups] |= counted != 0;
+            if (weights) total[row / bundle.groups] += sum(counted, fates.weight[row]);
         }
         if (!map_.nearField(0).empty()) traceNear(bundle, fates);
         trace::tracePatches(tree_, bundle);
-        for (int b = 0; b < bundle.blocks; ++b)
-            addLanes(std::uint16_t(bundle.open[b] | fates.clear[b]), visible,
-                     weights ? fates.weight[b] : kOnes);
-    }
-    if (layout == Layout::cells) {
-        for (int i = 1; i < trace::kLanes; ++i) {
-            visible[0] += visible[i];
-            total[0] += total[i];
-            above[0] += above[i];
+        for (int row = 0; row < bundle.receivers * bundle.groups; ++row) {
+            const std::uint32_t left = bundle.open[row] | fates.clear[row];
+            visible[row / bundle.groups] +=
+                weights ? sum(left, fates.weight[row]) : float(std::popcount(left));
         }
     }
-    const float samples =
-        float(light_.isPoint() ? 1 : std::clamp(options_.samples, 1, kMaxSamples));
     for (int i = 0; i < count; ++i) {
-        if (!weights) total[i] = samples;
+        if (!weights) total[i] = float(samples_);
         // All weights may vanish in the distance; below the horizon all is dark.
         out[i] = total[i] > 0.0f ? std::clamp(1.0f - visible[i] / total[i], 0.0f, 1.0f)
-                                 : (above[i] > 0.0f ? 0.0f : 1.0f);
+                                 : (above[i] ? 0.0f : 1.0f);
     }
 }
 

@@ -4,6 +4,7 @@
 // A point's answer does not depend on which others are asked with it.
 #pragma once
 #include <glm/vec3.hpp>
+#include <optional>
 
 #include "light/sample.h"
 #include "mtsm/map.h"
@@ -20,8 +21,13 @@ class BundleQuery {
     [[nodiscard]] static bool serves(const ShadowMap& map,
                                      const ShadowOptions& options) noexcept;
 
+    struct Receiver {
+        glm::dvec3 point{0.0};
+        glm::dvec3 normal{0.0};  ///< unit; zero: none, for all of a call or for none
+    };
+    /// `only`: nothing else will be asked for.
     BundleQuery(const ShadowMap& map, const AreaLight& light,
-                const ShadowOptions& options);
+                const ShadowOptions& options, const Receiver* only = nullptr);
 
     /// Points that are finite and not behind the light: can it answer this one? Far
     /// outside the view rays in float are too coarse.
@@ -30,15 +36,12 @@ class BundleQuery {
     /// A number that is close for points whose rays take much the same way, < 2^30.
     [[nodiscard]] std::uint32_t placeOf(glm::dvec3 point) const noexcept;
 
-    struct Receiver {
-        glm::dvec3 point{0.0};
-        glm::dvec3 normal{0.0};  ///< unit; zero: none, for all of a call or for none
-    };
     /// Shadow factors of 1 to 16 receivers; counts rays.
     void shadowFactors(const Receiver* receivers, int count, float* out,
                        QueryStats& stats) const noexcept;
 
   private:
+    [[nodiscard]] std::uint32_t keyOf(const Receiver& receiver) const noexcept;
     void setLane(const Receiver& receiver, int lane, ReceiverLanes& lanes) const noexcept;
 
     void traceNear(trace::RayBundle& bundle, const RayFates& fates) const noexcept;
@@ -49,7 +52,8 @@ class BundleQuery {
     ShadowOptions options_;
     trace::ZBias bias_;
     const trace::PatchTree& tree_;
-    LightRays withNormals_, without_;
+    std::uint32_t samples_;
+    std::optional<LightRays> withNormals_, without_;
     // Axes of the light in light space, if they are the same for all points.
     bool fixedAxes_;
     glm::dvec3 centre_, axisX_, axisY_, axisZ_, base_;

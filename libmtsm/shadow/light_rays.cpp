@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstring>
 
+#include "base/sampling.h"
+
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "shadow/light_rays.cpp"
 #define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
@@ -18,14 +20,11 @@ namespace mtsm::shadow {
 struct FillInput {
     const ReceiverLanes& at;
     const LightRays::View& view;
-    const LightRays::Cells& cells;
-    std::uint32_t firstCell;
-    int blocks;
-    bool cellsAcross;  // a lane is a cell, not a receiver
+    const LightRays::Points& points;
+    int samples, firstGroup, groups;
     light::LightView::Domain domain;
     bool endless, normals, weights;
     glm::vec3 shines;
-    float samples;
 };
 
 }  // namespace mtsm::shadow
@@ -67,47 +66,25 @@ HWY_INLINE Vec constant(float x) {
     return hn::Set(kF, x);
 }
 
-/// Two numbers in [0, 1) from a receiver's key and the number of a cell.
-struct Jitter {
+struct Pair {
     Vec x, y;
 };
-HWY_INLINE Jitter jitter(hn::Vec<Bits> keys, hn::Vec<Bits> cells) {
-    auto h = hn::Xor(keys, hn::Mul(cells, hn::Set(kU, 0x9e3779b1u)));
-    h = hn::Mul(hn::Xor(h, hn::ShiftRight<16>(h)), hn::Set(kU, 0x6a09e667u));
-    h = hn::Mul(hn::Xor(h, hn::ShiftRight<15>(h)), hn::Set(kU, 0xbb67ae85u));
-    h = hn::Xor(h, hn::ShiftRight<16>(h));
-    const auto fraction = [](hn::Vec<Bits> bits) {
-        return hn::Mul(hn::ConvertTo(kF, hn::BitCast(Ints(), bits)), constant(0x1p-16f));
-    };
-    return {fraction(hn::ShiftRight<16>(h)), fraction(hn::And(h, hn::Set(kU, 0xffffu)))};
+
+/// Light space to straight space.
+HWY_INLINE Vec3 project(const LightRays::View& view, Vec3 p) {
+    const Vec su = constant(view.scaleU), sv = constant(view.scaleV);
+    const Vec ou = constant(view.offsetU), ov = constant(view.offsetV);
+    if (!view.perspective)
+        return {hn::MulAdd(p.x, su, ou), hn::MulAdd(p.y, sv, ov), hn::Neg(p.z)};
+    const Vec w = hn::Div(constant(1.0f), p.z);
+    return {hn::MulAdd(hn::Mul(p.x, su), w, ou), hn::MulAdd(hn::Mul(p.y, sv), w, ov), w};
 }
 
-/// light::sampleDisk.
-HWY_INLINE Jitter onDisk(Jitter u) {
-    const Vec a = hn::MulSub(constant(2.0f), u.x, constant(1.0f));
-    const Vec b = hn::MulSub(constant(2.0f), u.y, constant(1.0f));
-    const MaskF flat = hn::Gt(hn::Abs(a), hn::Abs(b));
-    const Vec r = hn::IfThenElse(flat, a, b), other = hn::IfThenElse(flat, b, a);
-    const Vec safe = hn::IfThenElse(hn::Eq(r, hn::Zero(kF)), constant(1.0f), r);
-    // sin and cos of at most an eighth of a turn, by their series.
-    const Vec phi = hn::Mul(constant(0.785398163f), hn::Div(other, safe));
-    const Vec p2 = hn::Mul(phi, phi);
-    Vec sine = hn::MulAdd(p2, constant(-1.0f / 5040.0f), constant(1.0f / 120.0f));
-    sine = hn::MulAdd(p2, sine, constant(-1.0f / 6.0f));
-    sine = hn::Mul(phi, hn::MulAdd(p2, sine, constant(1.0f)));
-    Vec cosine = hn::MulAdd(p2, constant(1.0f / 40320.0f), constant(-1.0f / 720.0f));
-    cosine = hn::MulAdd(p2, cosine, constant(1.0f / 24.0f));
-    cosine = hn::MulAdd(p2, cosine, constant(-0.5f));
-    cosine = hn::MulAdd(p2, cosine, constant(1.0f));
-    return {hn::Mul(r, hn::IfThenElse(flat, cosine, sine)),
-            hn::Mul(r, hn::IfThenElse(flat, sine, cosine))};
-}
-
-/// The rays of as many receivers as a vector holds.
-class LanesFill {
+/// What holds for all rays of a receiver; as many receivers as a vector holds.
+class Starts {
   public:
-    LanesFill(const FillInput& in, int lane, trace::RayBundle& bundle, RayFates& fates)
-        : in_(in), view_(in.view), lane_(lane), bundle_(bundle), fates_(fates) {
+    Starts(const FillInput& in, int first, trace::RayBundle& bundle)
+        : in_(in), view_(in.view), first_(first), bundle_(bundle) {
         const ReceiverLanes& at = in.at;
         position_ = load(at.x, at.y, at.z);
         base_ = load(at.baseX, at.baseY, at.baseZ);
@@ -115,50 +92,19 @@ class LanesFill {
         axisY_ = load(at.axisYX, at.axisYY, at.axisYZ);
         axisZ_ = load(at.axisZX, at.axisZY, at.axisZZ);
         normal_ = load(at.normalX, at.normalY, at.normalZ);
-        capHeight_ = hn::Load(kF, at.capHeight + lane);
-        start_ = project(position_);
-        hn::Store(start_.x, kF, bundle.u + lane);
-        hn::Store(start_.y, kF, bundle.v + lane);
-        hn::Store(start_.z, kF, bundle.w + lane);
+        capHeight_ = hn::Load(kF, at.capHeight + first);
+        start_ = project(view_, position_);
+        hn::Store(start_.x, kF, bundle.u + first);
+        hn::Store(start_.y, kF, bundle.v + first);
+        hn::Store(start_.z, kF, bundle.w + first);
         if (in.normals) setPlanes();
         setSpread();
     }
 
-    void block(int b) {
-        const LightRays::Cells& cells = in_.cells;
-        const std::size_t first =
-            in_.cellsAcross ? in_.firstCell + std::size_t(b) * kLanes + std::size_t(lane_)
-                            : in_.firstCell + std::size_t(b);
-        const auto of = [&](const std::vector<float>& values) {
-            return in_.cellsAcross ? hn::LoadU(kF, &values[first])
-                                   : constant(values[first]);
-        };
-        const auto numbers = in_.cellsAcross ? hn::LoadU(kU, &cells.number[first])
-                                             : hn::Set(kU, cells.number[first]);
-        Jitter u = jitter(hn::LoadU(kU, in_.at.key + lane_), numbers);
-        u.x = hn::MulAdd(u.x, of(cells.width), of(cells.u));
-        u.y = hn::MulAdd(u.y, of(cells.height), of(cells.v));
-        Vec3 radial;
-        const Vec3 delta = towards(u, radial);
-        ray(b, delta);
-        if (in_.weights) weigh(b, delta, radial);
-    }
-
   private:
     Vec3 load(const float* x, const float* y, const float* z) const {
-        return {hn::Load(kF, x + lane_), hn::Load(kF, y + lane_),
-                hn::Load(kF, z + lane_)};
-    }
-
-    /// Light space to straight space.
-    Vec3 project(Vec3 p) const {
-        const Vec su = constant(view_.scaleU), sv = constant(view_.scaleV);
-        const Vec ou = constant(view_.offsetU), ov = constant(view_.offsetV);
-        if (!view_.perspective)
-            return {hn::MulAdd(p.x, su, ou), hn::MulAdd(p.y, sv, ov), hn::Neg(p.z)};
-        const Vec w = hn::Div(constant(1.0f), p.z);
-        return {hn::MulAdd(hn::Mul(p.x, su), w, ou), hn::MulAdd(hn::Mul(p.y, sv), w, ov),
-                w};
+        return {hn::Load(kF, x + first_), hn::Load(kF, y + first_),
+                hn::Load(kF, z + first_)};
     }
 
     /// [map.h]: a height above the tangent plane in world units, times w if perspective,
@@ -168,13 +114,13 @@ class LanesFill {
         const Vec b = hn::Mul(normal_.y, constant(1.0f / view_.scaleV));
         const Vec c =
             view_.perspective ? hn::Neg(dot(normal_, position_)) : hn::Neg(normal_.z);
-        hn::Store(a, kF, bundle_.planeU + lane_);
-        hn::Store(b, kF, bundle_.planeV + lane_);
-        hn::Store(c, kF, bundle_.planeW + lane_);
+        hn::Store(a, kF, bundle_.planeU + first_);
+        hn::Store(b, kF, bundle_.planeV + first_);
+        hn::Store(c, kF, bundle_.planeW + first_);
     }
 
     /// Pixels that a ray along d goes per w.
-    Jitter slope(Vec3 d) const {
+    Pair slope(Vec3 d) const {
         const Vec perDepth = hn::Div(constant(1.0f), d.z);
         const Vec x = hn::Mul(d.x, perDepth), y = hn::Mul(d.y, perDepth);
         if (view_.perspective)
@@ -201,27 +147,27 @@ class LanesFill {
             for (const Vec3& axis : {axisX_, axisY_}) {
                 const Vec3 end = along(middle, way, axis);
                 towardsEye = hn::And(towardsEye, hn::Lt(end.z, hn::Zero(kF)));
-                const Jitter at = slope(end);
+                const Pair at = slope(end);
                 lowU = hn::Min(lowU, at.x), highU = hn::Max(highU, at.x);
                 lowV = hn::Min(lowV, at.y), highV = hn::Max(highV, at.y);
             }
         }
         const Vec extentU = hn::Sub(highU, lowU), extentV = hn::Sub(highV, lowV);
-        const Vec spread =
-            hn::Sqrt(hn::Mul(hn::Mul(extentU, extentV), constant(1.0f / in_.samples)));
+        const Vec spread = hn::Sqrt(
+            hn::Mul(hn::Mul(extentU, extentV), constant(1.0f / float(in_.samples))));
         const Vec slant = hn::Max(hn::Max(hn::Abs(lowU), hn::Abs(highU)),
                                   hn::Max(hn::Abs(lowV), hn::Abs(highV)));
         // Rays that lead along the map or away from the eye know no coarser level.
-        hn::Store(hn::IfThenElseZero(towardsEye, spread), kF, bundle_.spread + lane_);
+        hn::Store(hn::IfThenElseZero(towardsEye, spread), kF, bundle_.spread + first_);
         hn::Store(hn::IfThenElse(towardsEye, slant, constant(HUGE_VALF)), kF,
-                  bundle_.slant + lane_);
+                  bundle_.slant + first_);
         alignas(64) float widest[kN];
         const Vec away =
             hn::Max(hn::Zero(kF), hn::Sub(constant(view_.highest), start_.z));
         const Vec widths = hn::Mul(hn::Max(extentU, extentV), away);
         hn::Store(hn::IfThenElseZero(towardsEye, widths), kF, widest);
         for (int i = 0; i < kN; ++i)
-            bundle_.topLevel[lane_ + i] = levelOf(widest[i]);
+            bundle_.topLevel[first_ + i] = levelOf(widest[i]);
     }
 
     /// The first level whose tiles are as wide.
@@ -232,30 +178,81 @@ class LanesFill {
         return std::uint8_t(level);
     }
 
+    const FillInput& in_;
+    const LightRays::View& view_;
+    int first_;
+    trace::RayBundle& bundle_;
+    Vec3 position_, base_, axisX_, axisY_, axisZ_, normal_, start_;
+    Vec capHeight_;
+};
+
+/// The rays of one receiver.
+class Rays {
+  public:
+    Rays(const FillInput& in, int receiver, trace::RayBundle& bundle, RayFates& fates)
+        : in_(in), view_(in.view), receiver_(receiver), bundle_(bundle), fates_(fates) {
+        const ReceiverLanes& at = in.at;
+        const auto set = [receiver](const float* x, const float* y, const float* z) {
+            return Vec3{constant(x[receiver]), constant(y[receiver]),
+                        constant(z[receiver])};
+        };
+        position_ = set(at.x, at.y, at.z);
+        base_ = set(at.baseX, at.baseY, at.baseZ);
+        axisX_ = set(at.axisXX, at.axisXY, at.axisXZ);
+        axisY_ = set(at.axisYX, at.axisYY, at.axisYZ);
+        axisZ_ = set(at.axisZX, at.axisZY, at.axisZZ);
+        normal_ = set(at.normalX, at.normalY, at.normalZ);
+        start_ = set(bundle.u, bundle.v, bundle.w);
+        plane_ = set(bundle.planeU, bundle.planeV, bundle.planeW);
+        capHeight_ = constant(at.capHeight[receiver]);
+    }
+
+    void group(int group) {
+        const LightRays::Points& points = in_.points;
+        const std::uint32_t key = in_.at.key[receiver_];
+        const std::size_t first = std::size_t(key % points.patterns) * points.each +
+                                  std::size_t(in_.firstGroup + group) * kLanes;
+        const int row = bundle_.row(receiver_, group);
+        bundle_.open[row] = fates_.clear[row] = 0;
+        for (int i = 0; i < kLanes; i += kN) {
+            const Pair point{hn::LoadU(kF, &points.a[first + std::size_t(i)]),
+                             hn::LoadU(kF, &points.b[first + std::size_t(i)])};
+            Vec3 radial;
+            const Vec3 delta = towards(point, radial);
+            ray(row, i, delta);
+            if (in_.weights) weigh(row, i, delta, radial);
+        }
+        const int left = in_.samples - (in_.firstGroup + group) * kLanes;
+        if (left < kLanes) {
+            bundle_.open[row] &= std::uint16_t((1u << left) - 1);
+            fates_.clear[row] &= std::uint16_t((1u << left) - 1);
+        }
+        // Points that follow each other lie close together: thresholds that differ most.
+        for (int i = 0; i < kLanes; ++i) {
+            const int far = (i & 1) << 3 | (i & 2) << 1 | (i & 4) >> 1 | i >> 3;
+            bundle_.threshold[row][i] = std::uint8_t(std::uint32_t(far) ^ key >> 28);
+        }
+    }
+
+  private:
     /// LightSampler::sample; `radial`: from the centre of a cap's sphere.
-    Vec3 towards(Jitter u, Vec3& radial) const {
+    Vec3 towards(Pair u, Vec3& radial) const {
         using Domain = light::LightView::Domain;
         radial = {hn::Zero(kF), hn::Zero(kF), hn::Zero(kF)};
-        if (in_.domain == Domain::square) {
-            const Vec a = hn::MulSub(constant(2.0f), u.x, constant(1.0f));
-            const Vec b = hn::MulSub(constant(2.0f), u.y, constant(1.0f));
-            return along(along(base_, a, axisX_), b, axisY_);
-        }
-        const Jitter disk = onDisk(u);
-        if (in_.domain == Domain::disk)
-            return along(along(base_, disk.x, axisX_), disk.y, axisY_);
+        if (in_.domain != Domain::cap)
+            return along(along(base_, u.x, axisX_), u.y, axisY_);
         // light::sampleCap.
-        const Vec r2 = hn::MulAdd(disk.x, disk.x, hn::Mul(disk.y, disk.y));
+        const Vec r2 = hn::MulAdd(u.x, u.x, hn::Mul(u.y, u.y));
         const Vec height = hn::Mul(hn::Min(constant(1.0f), r2), capHeight_);
         const Vec scale = hn::Sqrt(
             hn::Max(hn::Zero(kF), hn::Mul(capHeight_, hn::Sub(constant(2.0f), height))));
-        radial = along(radial, hn::Mul(disk.x, scale), axisX_);
-        radial = along(radial, hn::Mul(disk.y, scale), axisY_);
+        radial = along(radial, hn::Mul(u.x, scale), axisX_);
+        radial = along(radial, hn::Mul(u.y, scale), axisY_);
         radial = along(radial, hn::Sub(constant(1.0f), height), axisZ_);
         return along(base_, constant(1.0f), radial);
     }
 
-    void ray(int b, Vec3 delta) {
+    void ray(int row, int i, Vec3 delta) {
         const Vec zero = hn::Zero(kF), one = constant(1.0f);
         // How far along delta: to the end, or to where there is nothing more to meet.
         Vec end = in_.endless ? constant(HUGE_VALF) : one;
@@ -265,41 +262,59 @@ class LanesFill {
         };
         const Vec z = position_.z;
         until(hn::Sub(z, constant(view_.nearest)), delta.z);
-        until(hn::Sub(constant(view_.farthest), z), hn::Neg(delta.z));
-        sides(delta, until);
+        if (!hn::AllTrue(kF, hn::Le(delta.z, zero)))
+            until(hn::Sub(constant(view_.farthest), z), hn::Neg(delta.z));
+        Vec3 last = along(position_, end, delta);
+        Vec3 to = project(view_, last);
+        if (!hn::AllTrue(kF, inWindow(to))) {
+            sides(delta, until);
+            last = along(position_, end, delta);
+            to = project(view_, last);
+        }
         MaskF clear =
             hn::Not(hn::And(hn::Gt(end, zero), hn::Lt(end, constant(HUGE_VALF))));
-        const Vec3 last = along(position_, end, delta);
-        const Vec3 to = project(last);
-        hn::Store(hn::Sub(to.x, start_.x), kF, bundle_.du[b] + lane_);
-        hn::Store(hn::Sub(to.y, start_.y), kF, bundle_.dv[b] + lane_);
-        hn::Store(hn::Sub(to.z, start_.z), kF, bundle_.dw[b] + lane_);
+        const Vec3 way{hn::Sub(to.x, start_.x), hn::Sub(to.y, start_.y),
+                       hn::Sub(to.z, start_.z)};
+        hn::Store(way.x, kF, bundle_.du[row] + i);
+        hn::Store(way.y, kF, bundle_.dv[row] + i);
+        hn::Store(way.z, kF, bundle_.dw[row] + i);
         MaskF above = hn::Gt(one, zero);
         Vec begin, nearBegin;
         if (in_.normals) {
             above = hn::Gt(dot(delta, normal_), zero);
-            const Vec rise = planeRise(b);
-            begin = fromPlane(rise, view_.planeHeight);
-            nearBegin = fromPlane(rise, view_.nearHeight);
+            // How fast the ray rises above the tangent plane, in s.
+            const Vec rise = dot(plane_, way);
+            const Vec per = hn::IfThenElse(hn::Gt(rise, zero), hn::Div(one, rise),
+                                           constant(HUGE_VALF));
+            begin = hn::Mul(constant(view_.planeHeight), per);
+            nearBegin = hn::Mul(constant(view_.nearHeight), per);
         } else {
-            const Vec start = hn::Load(kF, in_.at.start + lane_);
+            const Vec start = constant(in_.at.start[receiver_]);
             begin = fromStart(delta, end, last.z, start);
             nearBegin =
                 fromStart(delta, end, last.z, hn::Mul(start, constant(view_.nearStart)));
         }
         const Vec least = constant(0x1p-40f);
         if (view_.near) {
-            const Vec nearEnd = endOfNear(b);
-            hn::Store(nearEnd, kF, fates_.nearEnd[b] + lane_);
+            const Vec nearEnd = endOfNear(way.z);
+            hn::Store(nearEnd, kF, fates_.nearEnd[row] + i);
             hn::Store(hn::Max(hn::Max(begin, least), nearEnd), kF,
-                      fates_.layersBegin[b] + lane_);
+                      fates_.layersBegin[row] + i);
             begin = nearBegin;
         }
-        hn::Store(hn::Max(begin, least), kF, bundle_.begin[b] + lane_);
+        hn::Store(hn::Max(begin, least), kF, bundle_.begin[row] + i);
         clear = hn::Or(clear, hn::Not(hn::Lt(begin, one)));
         const std::uint32_t counts = bitsOf(above), clears = bitsOf(clear) & counts;
-        fates_.clear[b] |= std::uint16_t(clears << lane_);
-        bundle_.open[b] |= std::uint16_t((counts & ~clears) << lane_);
+        fates_.clear[row] |= std::uint16_t(clears << i);
+        bundle_.open[row] |= std::uint16_t((counts & ~clears) << i);
+    }
+
+    /// Ends that need no cutting off.
+    [[nodiscard]] MaskF inWindow(const Vec3& p) const {
+        const Vec margin = constant(-view_.width);
+        return hn::And(
+            hn::And(hn::Ge(p.x, margin), hn::Le(p.x, constant(2.0f * view_.width))),
+            hn::And(hn::Ge(p.y, margin), hn::Le(p.y, constant(2.0f * view_.width))));
     }
 
     /// Where the ray leaves the window for good, a pixel beyond it.
@@ -319,19 +334,6 @@ class LanesFill {
         inside(view_.scaleV, view_.offsetV, view_.height, position_.y, delta.y);
     }
 
-    /// How fast a ray rises above the tangent plane, in s.
-    Vec planeRise(int b) const {
-        const auto at = [&](const float* p) { return hn::Load(kF, p + lane_); };
-        Vec rise = hn::Mul(at(bundle_.planeU), at(bundle_.du[b]));
-        rise = hn::MulAdd(at(bundle_.planeV), at(bundle_.dv[b]), rise);
-        return hn::MulAdd(at(bundle_.planeW), at(bundle_.dw[b]), rise);
-    }
-    /// s from which on the ray is high enough above it.
-    static Vec fromPlane(Vec rise, float height) {
-        const MaskF rises = hn::Gt(rise, hn::Zero(kF));
-        return hn::IfThenElse(rises, hn::Div(constant(height), rise), constant(1.0f));
-    }
-
     /// s at a distance from the receiver.
     Vec fromStart(Vec3 delta, Vec end, Vec lastZ, Vec distance) const {
         const Vec t = hn::Div(distance, hn::Sqrt(dot(delta, delta)));
@@ -345,15 +347,15 @@ class LanesFill {
     }
 
     /// s at which the ray leaves the depths that the near field answers for.
-    Vec endOfNear(int b) const {
+    Vec endOfNear(Vec rise) const {
         const Vec depth = hn::MulAdd(constant(view_.nearPerW), hn::Abs(start_.z),
                                      constant(view_.nearConstant));
-        const Vec dw = hn::Abs(hn::Load(kF, bundle_.dw[b] + lane_));
+        const Vec dw = hn::Abs(rise);
         return hn::IfThenElse(hn::Gt(dw, depth), hn::Div(depth, dw), constant(1.0f));
     }
 
     /// LightSample::weight times the cosine at the receiver.
-    void weigh(int b, Vec3 delta, Vec3 radial) {
+    void weigh(int row, int i, Vec3 delta, Vec3 radial) {
         const Vec zero = hn::Zero(kF);
         const Vec d2 = dot(delta, delta), length = hn::Sqrt(d2);
         Vec weight = hn::Div(hn::Max(zero, dot(delta, normal_)), length);
@@ -374,42 +376,29 @@ class LanesFill {
             weight = hn::IfThenElse(cosine, hn::Mul(weight, facing), weight);
         }
         weight = hn::IfThenElse(hn::Gt(weight, zero), weight, zero);
-        hn::Store(weight, kF, fates_.weight[b] + lane_);
+        hn::Store(weight, kF, fates_.weight[row] + i);
     }
 
     const FillInput& in_;
     const LightRays::View& view_;
-    int lane_;
+    int receiver_;
     trace::RayBundle& bundle_;
     RayFates& fates_;
-    Vec3 position_, base_, axisX_, axisY_, axisZ_, normal_, start_;
+    Vec3 position_, base_, axisX_, axisY_, axisZ_, normal_, start_, plane_;
     Vec capHeight_;
 };
 
 void fill(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
-    bundle.blocks = in.blocks;
+    bundle.receivers = in.at.count;
+    bundle.groups = in.groups;
     bundle.hasPlanes = in.normals;
     bundle.planeHeight = in.view.planeHeight;
-    for (int b = 0; b < in.blocks; ++b) {
-        bundle.open[b] = fates.clear[b] = 0;
-        for (int i = 0; i < kLanes; ++i) {
-            const std::size_t cell = in.firstCell + (in.cellsAcross ? b * kLanes + i : b);
-            bundle.threshold[b][i] =
-                in.cells.threshold[cell] ^ std::uint8_t(in.at.key[i] >> 28);
-        }
-    }
-    for (int lane = 0; lane < kLanes; lane += kN) {
-        LanesFill lanes(in, lane, bundle, fates);
-        for (int b = 0; b < in.blocks; ++b)
-            lanes.block(b);
-    }
-    for (int b = 0; b < in.blocks; ++b) {
-        const std::uint32_t left =
-            in.cells.count - in.firstCell - std::uint32_t(b * kLanes);
-        const int used =
-            in.cellsAcross ? int(std::min(left, std::uint32_t(kLanes))) : in.at.count;
-        bundle.open[b] &= std::uint16_t((1u << used) - 1);
-        fates.clear[b] &= std::uint16_t((1u << used) - 1);
+    for (int first = 0; first < trace::kMostReceivers; first += kN)
+        Starts(in, first, bundle);
+    for (int receiver = 0; receiver < in.at.count; ++receiver) {
+        Rays rays(in, receiver, bundle, fates);
+        for (int group = 0; group < in.groups; ++group)
+            rays.group(group);
     }
 }
 
@@ -423,42 +412,53 @@ HWY_EXPORT(fill);
 
 namespace {
 
-struct Cell {
-    std::uint32_t row, column, columns;
-    std::uint32_t before;  // cells of the rows above
-};
+/// Sequences that receivers choose from.
+constexpr std::uint32_t kPatterns = 32;
 
-/// Rows of cells of equal area, as square as may be, neighbours close to each other.
-LightRays::Cells makeCells(std::uint32_t samples) {
-    const auto rows = std::uint32_t(std::sqrt(double(samples)));
-    std::vector<Cell> order;
-    for (std::uint32_t row = 0; row < rows; ++row) {
-        const std::uint32_t before = samples * row / rows;
-        const std::uint32_t columns = samples * (row + 1) / rows - before;
-        for (std::uint32_t column = 0; column < columns; ++column)
-            order.push_back({row, column, columns, before});
+/// Neighbours in the square get numbers close to each other.
+std::uint64_t placeOf(glm::dvec2 u) {
+    std::uint64_t place = 0;
+    const auto x = std::uint32_t(u.x * 0x1p16), y = std::uint32_t(u.y * 0x1p16);
+    for (int bit = 15; bit >= 0; --bit)
+        place = place << 2 | std::uint64_t(y >> bit & 1) << 1 | (x >> bit & 1);
+    return place;
+}
+
+/// The first points of a sequence, neighbours close to each other.
+std::vector<glm::dvec2> pattern(std::uint32_t number, std::uint32_t seed,
+                                std::uint32_t samples) {
+    const base::SquareSequence sequence(base::mix(std::uint64_t(seed) << 32 | number));
+    std::vector<std::pair<std::uint64_t, glm::dvec2>> order;
+    for (std::uint32_t i = 0; i < samples; ++i) {
+        const glm::dvec2 u = samples == 1 ? glm::dvec2(0.5) : sequence(i);
+        order.emplace_back(placeOf(u), u);
     }
-    const auto square = [](const Cell& c) { return std::pair(c.row / 4, c.column / 4); };
-    std::stable_sort(order.begin(), order.end(),
-                     [&](const Cell& a, const Cell& b) { return square(a) < square(b); });
-    LightRays::Cells cells;
-    cells.count = samples;
-    for (const Cell& c : order) {
-        // A 4 x 4 ordered dither matrix.
-        const std::uint32_t x = c.column & 3, y = c.row & 3;
-        cells.threshold.push_back(
-            std::uint8_t(((x ^ y) & 1) << 3 | (y & 1) << 2 | ((x ^ y) & 2) | y >> 1));
-        cells.number.push_back(c.before + c.column);
-        cells.u.push_back(float(c.column) / float(c.columns));
-        cells.v.push_back(float(c.before) / float(samples));
-        cells.width.push_back(1.0f / float(c.columns));
-        cells.height.push_back(float(c.columns) / float(samples));
+    std::sort(order.begin(), order.end(),
+              [](const auto& a, const auto& b) { return a.first < b.first; });
+    std::vector<glm::dvec2> points;
+    for (const auto& [place, u] : order)
+        points.push_back(u);
+    return points;
+}
+
+LightRays::Points makePoints(const LightRays::Setting& setting,
+                             light::LightView::Domain domain) {
+    LightRays::Points points;
+    points.patterns = setting.onlyKey ? 1 : kPatterns;
+    points.each = (setting.samples + trace::kLanes - 1) / trace::kLanes * trace::kLanes;
+    for (std::uint32_t p = 0; p < points.patterns; ++p) {
+        const std::uint32_t number = setting.onlyKey ? *setting.onlyKey % kPatterns : p;
+        for (const glm::dvec2 u : pattern(number, setting.seed, setting.samples)) {
+            const glm::dvec2 at = domain == light::LightView::Domain::square
+                                      ? 2.0 * u - 1.0
+                                      : light::sampleDisk(u);
+            points.a.push_back(float(at.x));
+            points.b.push_back(float(at.y));
+        }
+        points.a.resize(std::size_t(p + 1) * points.each, points.a.back());
+        points.b.resize(std::size_t(p + 1) * points.each, points.b.back());
     }
-    const std::size_t padded = (samples + 15) / 16 * 16;
-    const auto pad = [&](auto& values) { values.resize(padded, values.back()); };
-    pad(cells.u), pad(cells.v), pad(cells.width), pad(cells.height);
-    pad(cells.number), pad(cells.threshold);
-    return cells;
+    return points;
 }
 
 }  // namespace
@@ -466,7 +466,7 @@ LightRays::Cells makeCells(std::uint32_t samples) {
 LightRays::LightRays(const Projection& p, std::uint32_t width, std::uint32_t height,
                      ZRange depths, const light::LightSampler& light,
                      const Setting& setting)
-    : cells_(makeCells(setting.samples)), setting_(setting) {
+    : setting_(setting) {
     view_.perspective = p.kind == ProjectionKind::perspective;
     view_.scaleU = float(p.scale.x), view_.scaleV = float(p.scale.y);
     view_.offsetU = float(p.offset.x), view_.offsetV = float(p.offset.y);
@@ -490,32 +490,15 @@ LightRays::LightRays(const Projection& p, std::uint32_t width, std::uint32_t hei
     domain_ = seen.domain;
     endless_ = seen.endless;
     shines_ = glm::vec3(p.lightFromWorldDirection(light.shines()));
+    points_ = makePoints(setting, domain_);
+    groups_ = int(points_.each / trace::kLanes);
 }
 
-std::uint32_t LightRays::bundles(Layout layout) const noexcept {
-    const std::uint32_t each =
-        trace::kMostBlocks * (layout == Layout::cells ? trace::kLanes : 1);
-    return (cells_.count + each - 1) / each;
-}
-
-void LightRays::fill(const ReceiverLanes& receivers, Layout layout, std::uint32_t index,
+void LightRays::fill(const ReceiverLanes& receivers, int first, int groups,
                      trace::RayBundle& bundle, RayFates& fates) const noexcept {
-    const bool across = layout == Layout::cells;
-    const std::uint32_t perBlock = across ? trace::kLanes : 1;
-    const std::uint32_t first = index * trace::kMostBlocks * perBlock;
-    const std::uint32_t blocks = (cells_.count - first + perBlock - 1) / perBlock;
-    const FillInput input{receivers,
-                          view_,
-                          cells_,
-                          first,
-                          int(std::min(blocks, std::uint32_t(trace::kMostBlocks))),
-                          across,
-                          domain_,
-                          endless_,
-                          setting_.normals,
-                          setting_.weights,
-                          shines_,
-                          float(cells_.count)};
+    const FillInput input{
+        receivers, view_,    points_,          int(setting_.samples), first,  groups,
+        domain_,   endless_, setting_.normals, setting_.weights,      shines_};
     HWY_DYNAMIC_DISPATCH(fill)(input, bundle, fates);
 }
 

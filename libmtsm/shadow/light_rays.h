@@ -1,12 +1,13 @@
-// light_rays.h - the rays of up to 16 receivers to the cells of a light, as a bundle.
+// light_rays.h - the rays of up to 16 receivers to a light, as a bundle.
 //
-// The light is cut into as many cells of equal area as there are samples; each receiver
-// takes one point of each cell, at a place that a hash of the receiver's own key says. So
-// the rays of a cell lie close together whatever the receivers are, and which points of
-// the light a receiver sees does not depend on its neighbours.
+// A receiver takes the first N points of one of a few scrambled (0, 2)-sequences
+// (base/sampling.h); a hash of its place says which. So what it sees of the light does
+// not depend on its neighbours. The points are in an order in which sixteen that follow
+// each other lie close together: those are the groups of the bundle.
 #pragma once
 #include <cstdint>
 #include <glm/vec3.hpp>
+#include <optional>
 #include <vector>
 
 #include "light/sample.h"
@@ -15,10 +16,9 @@
 
 namespace mtsm::shadow {
 
-/// Up to 16 receivers, in the light space of a face. All arrays are [lane]; lanes beyond
-/// `count` hold copies of the first.
+/// Up to 16 receivers, in the light space of a face; beyond `count` copies of the first.
 struct ReceiverLanes {
-    using Lanes = float[trace::kLanes];
+    using Lanes = float[trace::kMostReceivers];
     int count = 0;
     alignas(64) Lanes x, y, z;              // position; z > 0 if perspective
     alignas(64) Lanes baseX, baseY, baseZ;  // LightView: base and axes
@@ -28,18 +28,19 @@ struct ReceiverLanes {
     alignas(64) Lanes capHeight;
     alignas(64) Lanes normalX, normalY, normalZ;  // unit; zero: none
     alignas(64) Lanes start;  // without normals: distance, world units
-    std::uint32_t key[trace::kLanes];
+    std::uint32_t key[trace::kMostReceivers];
 };
 
-/// What becomes of the rays of a bundle; [block], one bit a lane.
+/// What becomes of the rays of a bundle.
 struct RayFates {
-    std::uint16_t clear[trace::kMostBlocks];  ///< cannot meet anything: not in the bundle
-    /// [block][lane]: with a near field, whose part a ray is up to here; the layers' part
+    /// [row], one bit a lane: cannot meet anything, and so are not open in the bundle.
+    std::uint16_t clear[trace::kMostRows];
+    /// [row][lane]: with a near field, whose part a ray is up to here; the layers' part
     /// begins there.
-    alignas(64) float nearEnd[trace::kMostBlocks][trace::kLanes];
-    alignas(64) float layersBegin[trace::kMostBlocks][trace::kLanes];
-    /// [block][lane]: what a ray counts for, if weights were asked for.
-    alignas(64) float weight[trace::kMostBlocks][trace::kLanes];
+    alignas(64) float nearEnd[trace::kMostRows][trace::kLanes];
+    alignas(64) float layersBegin[trace::kMostRows][trace::kLanes];
+    /// [row][lane]: what a ray counts for, if weights were asked for.
+    alignas(64) float weight[trace::kMostRows][trace::kLanes];
 };
 
 class LightRays {
@@ -48,35 +49,32 @@ class LightRays {
     /// what does not lie `height` pixel footprints above them does not. `weights`: fill
     /// RayFates::weight with cosines (needs normals). `nearDepth`: the near field answers
     /// for so many pixel footprints of depth; above 0, RayBundle::begin is where its part
-    /// begins, `nearHeight` footprints above the plane, or at the start divided by
-    /// `nearStart`.
+    /// begins, `nearHeight` footprints above the plane, or at the start times
+    /// `nearStart`. `onlyKey`: all receivers have this key.
     struct Setting {
         std::uint32_t samples = 1;
+        std::uint32_t seed = 0;
         bool normals = false, weights = false;
         double height = 0.0;
         double nearDepth = 0.0, nearHeight = 0.0, nearStart = 1.0;
+        std::optional<std::uint32_t> onlyKey;
     };
     /// `depths`: of all layers of the face.
     LightRays(const Projection& projection, std::uint32_t width, std::uint32_t height,
               ZRange depths, const light::LightSampler& light, const Setting& setting);
 
-    /// How the rays are put into bundles: every lane a receiver and every block a cell,
-    /// or one receiver and sixteen cells to a block. The rays are the same.
-    enum class Layout { receivers, cells };
-
-    /// It takes so many bundles to hold all rays.
-    [[nodiscard]] std::uint32_t bundles(Layout layout) const noexcept;
-    /// The rays of bundle number `index`. Those below a receiver's horizon are neither
-    /// open nor clear. Layout::cells: all lanes of `receivers` hold one receiver.
-    void fill(const ReceiverLanes& receivers, Layout layout, std::uint32_t index,
+    /// Of all rays of a receiver.
+    [[nodiscard]] int groups() const noexcept { return groups_; }
+    /// The rays of `groups` groups from number `first` on. Those below a receiver's
+    /// horizon are neither open nor clear.
+    void fill(const ReceiverLanes& receivers, int first, int groups,
               trace::RayBundle& bundle, RayFates& fates) const noexcept;
 
-    /// The cells of the unit square; all [cells, rounded up to a multiple of 16].
-    struct Cells {
-        std::uint32_t count = 0;
-        std::vector<float> u, v, width, height;
-        std::vector<std::uint32_t> number;
-        std::vector<std::uint8_t> threshold;  ///< part of RayBundle::threshold
+    /// Points on the light, all sequences, [pattern][16 groups]: of LightView's square or
+    /// disk.
+    struct Points {
+        std::uint32_t patterns = 1, each = 0;
+        std::vector<float> a, b;
     };
     /// The face, in float.
     struct View {
@@ -92,7 +90,8 @@ class LightRays {
     };
 
   private:
-    Cells cells_;
+    Points points_;
+    int groups_ = 0;
     View view_;
     light::LightView::Domain domain_;
     bool endless_ = false;

@@ -57,7 +57,7 @@ ReceiverOrder::Group ReceiverOrder::group(std::size_t first,
     const Kind kind = sorted_[first].kind();
     if (kind == Kind::alone) return {1, false};
     std::size_t count = 1;
-    while (count < trace::kLanes && first + count < end &&
+    while (count < std::size_t(trace::kMostReceivers) && first + count < end &&
            sorted_[first + count].kind() == kind)
         ++count;
     return {count, true};

@@ -56,8 +56,8 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
         QueryStats part;
         for (std::size_t first = begin; first < end;) {
             const shadow::ReceiverOrder::Group group = order.group(first, end);
-            shadow::BundleQuery::Receiver receivers[trace::kLanes];
-            float factors[trace::kLanes];
+            shadow::BundleQuery::Receiver receivers[trace::kMostReceivers];
+            float factors[trace::kMostReceivers];
             for (std::size_t k = 0; k < group.count; ++k) {
                 const std::size_t i = order[first + k];
                 receivers[k].point = points[i];
@@ -86,10 +86,14 @@ template <typename Take>
 void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
                const glm::dvec3* normals, std::size_t count, const ShadowOptions& options,
                QueryStats* stats, const Take& take) {
+    if (count == 0) return;
     const shadow::Query query(map, light, options);
     QueryStats met;
     if (shadow::BundleQuery::serves(map, options)) {
-        const shadow::BundleQuery bundles(map, light, options);
+        const shadow::BundleQuery::Receiver first{
+            points[0], normals ? shadow::unitNormal(normals[0]) : glm::dvec3(0.0)};
+        const shadow::BundleQuery bundles(map, light, options,
+                                          count == 1 ? &first : nullptr);
         answerGroups(query, bundles, points, normals, count, met, take);
     } else {
         answerEach(query, points, normals, count, met, take);

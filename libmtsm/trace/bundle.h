@@ -1,56 +1,59 @@
-// bundle.h - many rays at once: those of 16 receivers to the cells of a light, of one
-// receiver to 16 points of each cell, or any 16 rays.
+// bundle.h - many rays at once: those of up to 16 receivers to a light, or any others.
 //
 // Straight space. A face's rays are followed in (u, v, w): raster position u and v in
 // pixels, and w = 1 / z (perspective) or -z (orthographic), which grows towards the eye.
 // Lines and planes of the world are lines and planes there, so a ray is start + s delta
-// for s in [0, 1], and nothing is divided as it goes. Where a ray enters the depths that
-// the map holds is s = 0 at the earliest, where it leaves them or ends is s = 1: it never
-// reaches the eye.
+// for s in [0, 1], and nothing is divided as it goes. A ray ends (s = 1) where it leaves
+// the depths that the map holds, at the latest: it never reaches the eye.
 //
-// A bundle has up to kMostBlocks blocks of kLanes rays. Lane i of every block starts at
-// the same receiver; the rays of one block should end close together (a cell of the
-// light): what lies off all of them is passed over at once. Answers never depend on that,
-// nor on which rays share a bundle: what a ray meets is decided by that ray alone.
+// A receiver has rays in groups of kLanes; a group is a row of the arrays below. Rays of
+// the groups with one number should end close together (a part of the light), whatever
+// their receivers: what lies off all of them is passed over at once. Answers never depend
+// on that, nor on which receivers share a bundle: what a ray meets is decided by its
+// receiver alone.
 #pragma once
 #include <cstdint>
 
 namespace mtsm::trace {
 
 inline constexpr int kLanes = 16;
-inline constexpr int kMostBlocks = 64;
+inline constexpr int kMostReceivers = 16;
+inline constexpr int kMostRows = 64;  ///< receivers times groups
 
 struct RayBundle {
-    int blocks = 0;
-    /// [lane]: start.
-    alignas(64) float u[kLanes], v[kLanes], w[kLanes];
-    /// [block][lane]: from start to end.
-    alignas(64) float du[kMostBlocks][kLanes], dv[kMostBlocks][kLanes],
-        dw[kMostBlocks][kLanes];
-    /// [block][lane]: what is met at s <= begin does not count (the receiver's own
-    /// surface).
-    alignas(64) float begin[kMostBlocks][kLanes];
-    /// [block]: bit i is set if the ray of lane i is to be followed. Kernels of opaque
-    /// maps clear the bits of rays that are blocked.
-    std::uint16_t open[kMostBlocks];
+    int receivers = 0, groups = 0;
+    [[nodiscard]] int row(int receiver, int group) const noexcept {
+        return receiver * groups + group;
+    }
 
-    // How coarsely a ray may be answered; of one receiver the same for all its rays.
-    /// [lane]: distance between neighbouring rays, pixels, per w that they are away from
-    /// the start: something so much coarser than a pixel does.
-    alignas(64) float spread[kLanes];
-    /// [lane]: most pixels that a ray goes sideways per w.
-    alignas(64) float slant[kLanes];
-    /// [lane]: no level above this one may answer.
-    std::uint8_t topLevel[kLanes];
-    /// [block][lane]: a texel that is covered in part blocks the rays whose threshold
+    /// [receiver]: start. Finite for all kMostReceivers.
+    alignas(64) float u[kMostReceivers], v[kMostReceivers], w[kMostReceivers];
+    /// [row][lane]: from start to end.
+    alignas(64) float du[kMostRows][kLanes], dv[kMostRows][kLanes], dw[kMostRows][kLanes];
+    /// [row][lane]: what is met at s <= begin does not count.
+    alignas(64) float begin[kMostRows][kLanes];
+    /// [row]: bit i is set if the ray of lane i is to be followed. Kernels of opaque maps
+    /// clear the bits of rays that are blocked.
+    std::uint16_t open[kMostRows];
+
+    // How coarsely rays may be answered.
+    /// [receiver]: distance between neighbouring rays, pixels, per w that they are away
+    /// from the start: something so much coarser than a pixel does.
+    alignas(64) float spread[kMostReceivers];
+    /// [receiver]: most pixels that a ray goes sideways per w.
+    alignas(64) float slant[kMostReceivers];
+    /// [receiver]: no level above this one may answer.
+    std::uint8_t topLevel[kMostReceivers];
+    /// [row][lane]: a texel that is covered in part blocks the rays whose threshold
     /// (0..15; exclusive or with a number of the patch) lies below its share.
-    std::uint8_t threshold[kMostBlocks][kLanes];
+    std::uint8_t threshold[kMostRows][kLanes];
 
-    /// The receivers' tangent planes; nothing below them counts. A place is planeU (u -
+    /// [receiver]: tangent planes; nothing below them counts. A place is planeU (u -
     /// start u) + planeV (v - start v) + planeW (w - start w) above, in a measure of
     /// which `planeHeight` is needed.
     bool hasPlanes = false;
-    alignas(64) float planeU[kLanes], planeV[kLanes], planeW[kLanes];
+    alignas(64) float planeU[kMostReceivers], planeV[kMostReceivers],
+        planeW[kMostReceivers];
     float planeHeight = 0.0f;
 };
 

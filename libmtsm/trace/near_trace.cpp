@@ -203,10 +203,13 @@ class Walk {
   public:
     Walk(const NearField& field, RayBundle& rays, const float (*end)[kLanes],
          float height)
-        : field_(field), rays_(rays), height_(height) {
-        turn(end);
-        for (std::uint32_t next = lanesLeft_; next; next &= next - 1)
-            boundLane(std::countr_zero(next));
+        : field_(field), rays_(rays), end_(end), height_(height) {
+        for (int axis = 0; axis < 3; ++axis) {
+            std::fill_n(low_[axis], kMostReceivers, kInfinity);
+            std::fill_n(high_[axis], kMostReceivers, -kInfinity);
+        }
+        for (int receiver = 0; receiver < rays.receivers; ++receiver)
+            bound(receiver);
     }
 
     void run() {
@@ -214,87 +217,82 @@ class Walk {
     }
 
   private:
-    /// From [block][lane] to [lane][block].
-    void turn(const float (*end)[kLanes]) {
-        for (int lane = 0; lane < kLanes; ++lane) {
-            left_[lane] = 0;
-            for (int b = 0; b < rays_.blocks; ++b) {
-                delta_[lane][0][b] = rays_.du[b][lane];
-                delta_[lane][1][b] = rays_.dv[b][lane];
-                delta_[lane][2][b] = rays_.dw[b][lane];
-                begin_[lane][b] = rays_.begin[b][lane];
-                end_[lane][b] = end[b][lane];
-                left_[lane] |= std::uint64_t(rays_.open[b] >> lane & 1) << b;
-            }
-            if (left_[lane]) lanesLeft_ |= std::uint16_t(1u << lane);
-        }
+    void startOf(int receiver, float (&start)[3]) const {
+        start[0] = rays_.u[receiver], start[1] = rays_.v[receiver];
+        start[2] = rays_.w[receiver];
     }
 
-    void startOf(int lane, float (&start)[3]) const {
-        start[0] = rays_.u[lane], start[1] = rays_.v[lane], start[2] = rays_.w[lane];
-    }
-
-    void boundLane(int lane);
-    [[nodiscard]] Box boxOf(int lane, int b) const;
+    void bound(int receiver);
+    [[nodiscard]] bool anyOpen(int receiver) const;
+    [[nodiscard]] Box boxOf(int receiver, int row, int lane) const;
     void node(std::size_t level, std::size_t index);
     [[nodiscard]] std::uint32_t lanesAt(const Box& box) const;
     void chunk(const NearChunk& chunk, std::uint32_t lanes);
     [[nodiscard]] std::uint32_t trianglesFor(int lane, const Triangles& triangles) const;
     void cross(int lane, const SeenTriangles& seen, int t, const Box& box);
-    void close(int lane, int b);
 
     const NearField& field_;
     RayBundle& rays_;
+    const float (*const end_)[kLanes];
     float height_;
     Box hull_;
-    /// Boxes around the open rays' parts, [axis][lane]; of lanes without any empty.
-    alignas(64) float low_[3][kLanes], high_[3][kLanes];
-    alignas(64) float delta_[kLanes][3][kMostBlocks];
-    alignas(64) float begin_[kLanes][kMostBlocks], end_[kLanes][kMostBlocks];
-    std::uint64_t left_[kLanes];   ///< open, one bit a block
-    std::uint16_t lanesLeft_ = 0;  ///< with a ray that is
+    /// Boxes around the open rays' parts, [axis][receiver]; of receivers without any
+    /// empty.
+    alignas(64) float low_[3][kMostReceivers], high_[3][kMostReceivers];
+    std::uint16_t lanesLeft_ = 0;  ///< receivers with a ray that is open
 };
 
+bool Walk::anyOpen(int receiver) const {
+    std::uint32_t open = 0;
+    for (int group = 0; group < rays_.groups; ++group)
+        open |= rays_.open[rays_.row(receiver, group)];
+    return open != 0;
+}
+
 /// boxOf() for one ray is the same to the last bit.
-void Walk::boundLane(int lane) {
+void Walk::bound(int receiver) {
+    if (!anyOpen(receiver)) return;
+    lanesLeft_ = std::uint16_t(lanesLeft_ | 1u << receiver);
     const Floats d;
     float start[3];
-    startOf(lane, start);
+    startOf(receiver, start);
+    const float(*const deltas[3])[kLanes] = {rays_.du, rays_.dv, rays_.dw};
     Box box;
     for (int axis = 0; axis < 3; ++axis) {
         const Vec origin = hn::Set(d, start[axis]);
         Vec lowest = hn::Set(d, kInfinity), highest = hn::Neg(lowest);
-        for (int b = 0; b < rays_.blocks; b += int(hn::Lanes(d))) {
-            const Mask open = maskOf(d, std::uint32_t(left_[lane] >> b));
-            const Vec way = hn::Load(d, delta_[lane][axis] + b);
-            const Vec margin =
-                hn::Mul(hn::Add(hn::Abs(origin), hn::Abs(way)), hn::Set(d, kMargin));
-            const Vec from = hn::Add(origin, hn::Mul(hn::Load(d, begin_[lane] + b), way));
-            const Vec to = hn::Add(origin, hn::Mul(hn::Load(d, end_[lane] + b), way));
-            const Vec low = hn::Sub(hn::Min(from, to), margin);
-            const Vec high = hn::Add(hn::Max(from, to), margin);
-            lowest = hn::Min(lowest, hn::IfThenElse(open, low, lowest));
-            highest = hn::Max(highest, hn::IfThenElse(open, high, highest));
+        for (int group = 0; group < rays_.groups; ++group) {
+            const int row = rays_.row(receiver, group);
+            for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
+                const Mask open = maskOf(d, std::uint32_t(rays_.open[row]) >> i);
+                const Vec way = hn::Load(d, deltas[axis][row] + i);
+                const Vec margin =
+                    hn::Mul(hn::Add(hn::Abs(origin), hn::Abs(way)), hn::Set(d, kMargin));
+                const Vec from =
+                    hn::Add(origin, hn::Mul(hn::Load(d, rays_.begin[row] + i), way));
+                const Vec to = hn::Add(origin, hn::Mul(hn::Load(d, end_[row] + i), way));
+                const Vec low = hn::Sub(hn::Min(from, to), margin);
+                const Vec high = hn::Add(hn::Max(from, to), margin);
+                lowest = hn::Min(lowest, hn::IfThenElse(open, low, lowest));
+                highest = hn::Max(highest, hn::IfThenElse(open, high, highest));
+            }
         }
-        box.low[axis] = hn::GetLane(hn::MinOfLanes(d, lowest));
-        box.high[axis] = hn::GetLane(hn::MaxOfLanes(d, highest));
-    }
-    for (int axis = 0; axis < 3; ++axis) {
-        low_[axis][lane] = box.low[axis];
-        high_[axis][lane] = box.high[axis];
+        box.low[axis] = low_[axis][receiver] = hn::GetLane(hn::MinOfLanes(d, lowest));
+        box.high[axis] = high_[axis][receiver] = hn::GetLane(hn::MaxOfLanes(d, highest));
     }
     hull_.include(box);
 }
 
-Box Walk::boxOf(int lane, int b) const {
+Box Walk::boxOf(int receiver, int row, int lane) const {
     float start[3];
-    startOf(lane, start);
+    startOf(receiver, start);
+    const float ways[3] = {rays_.du[row][lane], rays_.dv[row][lane], rays_.dw[row][lane]};
     Box box;
     for (int axis = 0; axis < 3; ++axis) {
-        const float way = delta_[lane][axis][b];
+        const float way = ways[axis];
         const float margin = (std::abs(start[axis]) + std::abs(way)) * kMargin;
-        const float from = start[axis] + begin_[lane][b] * way;
-        const float to = start[axis] + end_[lane][b] * way;
+        const float from = start[axis] + rays_.begin[row][lane] * way;
+        const float to = start[axis] + end_[row][lane] * way;
         box.low[axis] = std::min(from, to) - margin;
         box.high[axis] = std::max(from, to) + margin;
     }
@@ -374,7 +372,7 @@ void Walk::chunk(const NearChunk& chunk, std::uint32_t lanes) {
         float start[3];
         startOf(lane, start);
         const SeenTriangles seen(triangles, start);
-        for (; found && left_[lane]; found &= found - 1) {
+        for (; found && (lanesLeft_ >> lane & 1); found &= found - 1) {
             const int t = std::countr_zero(found);
             cross(lane, seen, t, triangles.box(t));
         }
@@ -424,35 +422,41 @@ void Walk::cross(int lane, const SeenTriangles& seen, int t, const Box& box) {
     const Vec3 side[3] = {at(seen.side[0]), at(seen.side[1]), at(seen.side[2])};
     const Vec3 terms = at(seen.terms), n = at(seen.normal);
     const Vec distance = hn::Set(d, seen.distance[t]);
-    for (int b = 0; b < rays_.blocks; b += int(hn::Lanes(d))) {
-        const auto open = std::uint32_t(left_[lane] >> b) & ((1u << hn::Lanes(d)) - 1);
-        if (open == 0) continue;
-        const Vec3 delta = {hn::Load(d, delta_[lane][0] + b),
-                            hn::Load(d, delta_[lane][1] + b),
-                            hn::Load(d, delta_[lane][2] + b)};
-        const Vec e0 = dot(delta, side[0]), e1 = dot(delta, side[1]),
-                  e2 = dot(delta, side[2]);
-        const Vec zero = hn::Mul(dot(abs(delta), terms), hn::Set(d, kRounding));
-        const Mask through = hn::Or(hn::Ge(hn::Min(hn::Min(e0, e1), e2), hn::Neg(zero)),
-                                    hn::Le(hn::Max(hn::Max(e0, e1), e2), zero));
-        // It is met at s = distance / speed.
-        const Vec speed = dot(delta, n);
-        const Vec towards = hn::Xor(distance, hn::And(speed, hn::Set(d, -0.0f)));
-        const Vec rate = hn::Abs(speed);
-        const Mask behind = hn::Gt(towards, hn::Mul(rate, hn::Load(d, begin_[lane] + b)));
-        const Mask before = hn::Le(towards, hn::Mul(rate, hn::Load(d, end_[lane] + b)));
-        std::uint32_t hits = open & bitsOf(d, hn::And(through, hn::And(behind, before)));
-        for (; hits; hits &= hits - 1) {
-            const int block = b + std::countr_zero(hits);
-            if (boxOf(lane, block).overlaps(box)) close(lane, block);
+    bool closed = false;
+    for (int group = 0; group < rays_.groups; ++group) {
+        const int row = rays_.row(lane, group);
+        for (int k = 0; k < kLanes; k += int(hn::Lanes(d))) {
+            const auto open =
+                (std::uint32_t(rays_.open[row]) >> k) & ((1u << hn::Lanes(d)) - 1);
+            if (open == 0) continue;
+            const Vec3 delta = {hn::Load(d, rays_.du[row] + k),
+                                hn::Load(d, rays_.dv[row] + k),
+                                hn::Load(d, rays_.dw[row] + k)};
+            const Vec e0 = dot(delta, side[0]), e1 = dot(delta, side[1]),
+                      e2 = dot(delta, side[2]);
+            const Vec zero = hn::Mul(dot(abs(delta), terms), hn::Set(d, kRounding));
+            const Mask through =
+                hn::Or(hn::Ge(hn::Min(hn::Min(e0, e1), e2), hn::Neg(zero)),
+                       hn::Le(hn::Max(hn::Max(e0, e1), e2), zero));
+            // It is met at s = distance / speed.
+            const Vec speed = dot(delta, n);
+            const Vec towards = hn::Xor(distance, hn::And(speed, hn::Set(d, -0.0f)));
+            const Vec rate = hn::Abs(speed);
+            const Mask behind =
+                hn::Gt(towards, hn::Mul(rate, hn::Load(d, rays_.begin[row] + k)));
+            const Mask before =
+                hn::Le(towards, hn::Mul(rate, hn::Load(d, end_[row] + k)));
+            std::uint32_t hits =
+                open & bitsOf(d, hn::And(through, hn::And(behind, before)));
+            for (; hits; hits &= hits - 1) {
+                const int i = k + std::countr_zero(hits);
+                if (!boxOf(lane, row, i).overlaps(box)) continue;
+                rays_.open[row] = std::uint16_t(rays_.open[row] & ~(1u << i));
+                closed = true;
+            }
         }
     }
-}
-
-void Walk::close(int lane, int b) {
-    rays_.open[b] = std::uint16_t(rays_.open[b] & ~(1u << lane));
-    left_[lane] &= ~(std::uint64_t(1) << b);
-    if (left_[lane] == 0) lanesLeft_ = std::uint16_t(lanesLeft_ & ~(1u << lane));
+    if (closed && !anyOpen(lane)) lanesLeft_ = std::uint16_t(lanesLeft_ & ~(1u << lane));
 }
 
 void traceNearAt(const NearField& field, RayBundle& rays, const float (*end)[kLanes],

@@ -13,7 +13,7 @@
 namespace mtsm::trace {
 
 /// Closes every open ray that crosses a triangle at some s with begin < s <= end
-/// [block][lane]. Of receivers with a plane only triangles count that rise more than
+/// [row][lane]. Of receivers with a plane only triangles count that rise more than
 /// `height` above it, in the bundle's measure. What becomes of a ray depends on that ray
 /// alone; the same on every machine. Needs finite rays. Does not allocate; time grows
 /// with the triangles near the rays and the logarithm of the others.

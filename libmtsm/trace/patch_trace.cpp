@@ -91,26 +91,15 @@ HWY_INLINE Vec reciprocal(Vec x) {
     return hn::Mul(guess, hn::NegMulAdd(x, guess, hn::Set(kF, 2.0f)));
 }
 
-/// The rays of a bundle, block by block and receiver by receiver: what lies near to the
-/// receivers concerns few of them but all of their rays, what lies far away few blocks.
-struct Rays {
-    /// [receiver][block]
-    alignas(64) float du[kLanes][kMostBlocks], dv[kLanes][kMostBlocks];
-    alignas(64) float dw[kLanes][kMostBlocks], begin[kLanes][kMostBlocks];
-    std::uint64_t open[kLanes];  ///< one bit a block
-};
-
 class Traversal {
   public:
     Traversal(const PatchTree& tree, RayBundle& bundle) : tree_(tree), bundle_(bundle) {}
 
     void run() {
-        for (int b = 0; b < bundle_.blocks; ++b) {
-            if (bundle_.open[b]) openBlocks_ |= std::uint64_t(1) << b;
-            lanes_ |= bundle_.open[b];
+        for (int receiver = 0; receiver < bundle_.receivers; ++receiver) {
+            if (anyOpen(receiver)) lanes_ |= std::uint16_t(1u << receiver);
         }
-        if (openBlocks_ == 0) return;
-        turn();
+        if (lanes_ == 0) return;
         findHull();
         findLevels();
         enter();
@@ -119,65 +108,28 @@ class Traversal {
     }
 
   private:
+    [[nodiscard]] bool anyOpen(int receiver) const {
+        std::uint32_t open = 0;
+        for (int group = 0; group < bundle_.groups; ++group)
+            open |= bundle_.open[bundle_.row(receiver, group)];
+        return open != 0;
+    }
+
     // --- what holds for all rays
     // -----------------------------------------------------------
 
-    /// From [block][lane] to [lane][block].
-    void turn() {
-        const int blocks = (bundle_.blocks + kLanes - 1) / kLanes * kLanes;
-        const auto copy = [blocks](const float(&from)[kMostBlocks][kLanes],
-                                   float(&to)[kLanes][kMostBlocks]) {
-            for (int lane = 0; lane < kLanes; ++lane) {
-                for (int b = 0; b < blocks; ++b)
-                    to[lane][b] = from[b][lane];
-            }
-        };
-        copy(bundle_.du, rays_.du), copy(bundle_.dv, rays_.dv);
-        copy(bundle_.dw, rays_.dw), copy(bundle_.begin, rays_.begin);
-        for (std::uint64_t& open : rays_.open)
-            open = 0;
-        for (int b = 0; b < bundle_.blocks; ++b) {
-            for (std::uint32_t rest = bundle_.open[b]; rest; rest &= rest - 1)
-                rays_.open[std::countr_zero(rest)] |= std::uint64_t(1) << b;
-        }
-    }
-
     void findHull() {
-        const Vec never = hn::Set(kF, HUGE_VALF);
-        for (int b = 0; b < kMostBlocks; ++b) {
-            endLowU_[b] = endLowV_[b] = HUGE_VALF;
-            endHighU_[b] = endHighV_[b] = -HUGE_VALF;
+        for (int i = 0; i < kMostReceivers; ++i) {
+            dwLow_[i] = wBegin_[i] = HUGE_VALF;
+            dwHigh_[i] = -HUGE_VALF;
         }
-        for (int i = 0; i < kLanes; i += kN) {
-            hn::Store(never, kF, dwLow_ + i), hn::Store(hn::Neg(never), kF, dwHigh_ + i);
-        }
-        for (int b = 0; b < bundle_.blocks; ++b) {
-            if (bundle_.open[b] == 0) continue;
-            Vec lowU = never, lowV = never, highU = hn::Neg(never), highV = highU;
-            for (int i = 0; i < kLanes; i += kN) {
-                const auto open = maskOf(bundle_.open[b], i);
-                const Vec u =
-                    hn::Add(hn::Load(kF, bundle_.u + i), hn::Load(kF, bundle_.du[b] + i));
-                const Vec v =
-                    hn::Add(hn::Load(kF, bundle_.v + i), hn::Load(kF, bundle_.dv[b] + i));
-                const Vec dw = hn::Load(kF, bundle_.dw[b] + i);
-                lowU = hn::Min(lowU, hn::IfThenElse(open, u, lowU));
-                highU = hn::Max(highU, hn::IfThenElse(open, u, highU));
-                lowV = hn::Min(lowV, hn::IfThenElse(open, v, lowV));
-                highV = hn::Max(highV, hn::IfThenElse(open, v, highV));
-                const Vec least = hn::Load(kF, dwLow_ + i);
-                const Vec most = hn::Load(kF, dwHigh_ + i);
-                hn::Store(hn::Min(least, hn::IfThenElse(open, dw, least)), kF,
-                          dwLow_ + i);
-                hn::Store(hn::Max(most, hn::IfThenElse(open, dw, most)), kF, dwHigh_ + i);
-            }
-            endLowU_[b] = hn::GetLane(hn::MinOfLanes(kF, lowU));
-            endHighU_[b] = hn::GetLane(hn::MaxOfLanes(kF, highU));
-            endLowV_[b] = hn::GetLane(hn::MinOfLanes(kF, lowV));
-            endHighV_[b] = hn::GetLane(hn::MaxOfLanes(kF, highV));
-        }
-        hull_ = {HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF,
-                 HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF};
+        ends_ = {HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF};
+        for (int group = 0; group < bundle_.groups; ++group)
+            boundGroup(group);
+        for (int group = bundle_.groups; group < (bundle_.groups + 15) / 16 * 16; ++group)
+            setEnds(group, {HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF});
+        hull_ = {HUGE_VALF,  -HUGE_VALF, HUGE_VALF,  -HUGE_VALF, HUGE_VALF,
+                 -HUGE_VALF, HUGE_VALF,  -HUGE_VALF, HUGE_VALF};
         for (std::uint32_t rest = lanes_; rest; rest &= rest - 1) {
             const int i = std::countr_zero(rest);
             const auto include = [](float& low, float& high, float a, float b) {
@@ -187,12 +139,59 @@ class Traversal {
             include(hull_.vLow, hull_.vHigh, bundle_.v[i], bundle_.v[i]);
             include(hull_.wLow, hull_.wHigh, bundle_.w[i], bundle_.w[i]);
             include(hull_.dwLow, hull_.dwHigh, dwLow_[i], dwHigh_[i]);
+            // A ray that leads away from the eye goes down.
+            wBegin_[i] = std::max(wBegin_[i], 0.0f);
+            hull_.wBegin = std::min(hull_.wBegin, wBegin_[i]);
         }
-        endsLowU_ = *std::min_element(endLowU_, endLowU_ + bundle_.blocks);
-        endsHighU_ = *std::max_element(endHighU_, endHighU_ + bundle_.blocks);
-        endsLowV_ = *std::min_element(endLowV_, endLowV_ + bundle_.blocks);
-        endsHighV_ = *std::max_element(endHighV_, endHighV_ + bundle_.blocks);
     }
+
+    struct Ends {
+        float lowU, highU, lowV, highV;
+    };
+    void setEnds(int group, const Ends& e) {
+        endLowU_[group] = e.lowU, endHighU_[group] = e.highU;
+        endLowV_[group] = e.lowV, endHighV_[group] = e.highV;
+    }
+
+    /// Where the group's rays end, and what the receivers' rays rise by.
+    void boundGroup(int group) {
+        const Vec never = hn::Set(kF, HUGE_VALF);
+        Vec lowU = never, lowV = never, highU = hn::Neg(never), highV = highU;
+        for (std::uint32_t rest = lanes_; rest; rest &= rest - 1) {
+            const int receiver = std::countr_zero(rest);
+            const int row = bundle_.row(receiver, group);
+            Vec least = never, most = hn::Neg(never), first = never;
+            for (int i = 0; i < kLanes; i += kN) {
+                const auto open = maskOf(bundle_.open[row], i);
+                const auto smaller = [&](Vec a, Vec b) {
+                    return hn::Min(a, hn::IfThenElse(open, b, a));
+                };
+                const auto larger = [&](Vec a, Vec b) {
+                    return hn::Max(a, hn::IfThenElse(open, b, a));
+                };
+                const Vec u = hn::Add(hn::Set(kF, bundle_.u[receiver]),
+                                      hn::Load(kF, bundle_.du[row] + i));
+                const Vec v = hn::Add(hn::Set(kF, bundle_.v[receiver]),
+                                      hn::Load(kF, bundle_.dv[row] + i));
+                const Vec dw = hn::Load(kF, bundle_.dw[row] + i);
+                lowU = smaller(lowU, u), highU = larger(highU, u);
+                lowV = smaller(lowV, v), highV = larger(highV, v);
+                least = smaller(least, dw), most = larger(most, dw);
+                first = smaller(first, hn::Mul(dw, hn::Load(kF, bundle_.begin[row] + i)));
+            }
+            dwLow_[receiver] = std::min(dwLow_[receiver], smallest(least));
+            dwHigh_[receiver] = std::max(dwHigh_[receiver], largest(most));
+            wBegin_[receiver] = std::min(wBegin_[receiver], smallest(first));
+        }
+        const Ends ends{smallest(lowU), largest(highU), smallest(lowV), largest(highV)};
+        setEnds(group, ends);
+        ends_.lowU = std::min(ends_.lowU, ends.lowU);
+        ends_.highU = std::max(ends_.highU, ends.highU);
+        ends_.lowV = std::min(ends_.lowV, ends.lowV);
+        ends_.highV = std::max(ends_.highV, ends.highV);
+    }
+    static float smallest(Vec v) { return hn::GetLane(hn::MinOfLanes(kF, v)); }
+    static float largest(Vec v) { return hn::GetLane(hn::MaxOfLanes(kF, v)); }
 
     void findLevels() {
         for (int level = 0; level < kMostLevels; ++level) {
@@ -210,10 +209,10 @@ class Traversal {
     /// were many, of a coarser one.
     void enter() {
         const std::vector<PatchTree::Level>& levels = tree_.levels();
-        const float u0 = std::min(hull_.uLow, endsLowU_);
-        const float u1 = std::max(hull_.uHigh, endsHighU_);
-        const float v0 = std::min(hull_.vLow, endsLowV_);
-        const float v1 = std::max(hull_.vHigh, endsHighV_);
+        const float u0 = std::min(hull_.uLow, ends_.lowU);
+        const float u1 = std::max(hull_.uHigh, ends_.highU);
+        const float v0 = std::min(hull_.vLow, ends_.lowV);
+        const float v1 = std::max(hull_.vHigh, ends_.highV);
         std::size_t level = std::min(std::size_t(std::max(top_, 1)), levels.size() - 1);
         while (level + 1 < levels.size() &&
                std::max(u1 - u0, v1 - v0) > 2.0f * float(levels[level].side))
@@ -269,17 +268,17 @@ class Traversal {
         Vec near, far;
         hn::Mask<Floats> any;
     };
-    static Reach reachOf(Vec low, Vec high, Vec dwLow, Vec dwHigh) {
+    static Reach reachOf(Vec low, Vec high, Vec begin, Vec dwLow, Vec dwHigh) {
         const Vec one = hn::Set(kF, 1.0f), zero = hn::Zero(kF);
         const Vec least = hn::Mul(dwHigh, hn::Set(kF, kLeastS));
         Reach r;
-        r.near = hn::Mul(dwHigh, reciprocal(hn::Max(low, least)));
+        r.near = hn::Mul(dwHigh, reciprocal(hn::Max(hn::Max(low, begin), least)));
         r.far = hn::Max(one, hn::Mul(dwLow, reciprocal(hn::Max(high, least))));
         // Some ray is level or leads away from the eye: nothing is known.
         const auto unknown = hn::Not(hn::Gt(dwLow, zero));
         r.near = hn::IfThenElse(unknown, hn::Set(kF, 1.0f / kLeastS), r.near);
         r.far = hn::IfThenElse(unknown, one, r.far);
-        r.any = hn::And(hn::Or(hn::Ge(high, zero), unknown),
+        r.any = hn::And(hn::Or(hn::Ge(high, begin), unknown),
                         hn::Ge(hn::Mul(r.near, hn::Set(kF, 1.0f + 0x1p-20f)), r.far));
         return r;
     }
@@ -304,9 +303,10 @@ class Traversal {
         };
         const Vec high = load(0), low = load(1);
         const Vec u = load(6), v = load(7), halfU = load(8), halfV = load(9);
-        const Reach r = reachOf(hn::Sub(low, hn::Set(kF, hull_.wHigh)),
-                                hn::Sub(high, hn::Set(kF, hull_.wLow)),
-                                hn::Set(kF, hull_.dwLow), hn::Set(kF, hull_.dwHigh));
+        const Reach r =
+            reachOf(hn::Sub(low, hn::Set(kF, hull_.wHigh)),
+                    hn::Sub(high, hn::Set(kF, hull_.wLow)), hn::Set(kF, hull_.wBegin),
+                    hn::Set(kF, hull_.dwLow), hn::Set(kF, hull_.dwHigh));
         const Shadow inU = shadowOf(hn::Sub(u, halfU), hn::Add(u, halfU),
                                     hn::Set(kF, hull_.uLow), hn::Set(kF, hull_.uHigh), r);
         const Shadow inV = shadowOf(hn::Sub(v, halfV), hn::Add(v, halfV),
@@ -315,24 +315,35 @@ class Traversal {
         hn::Store(inU.high, kF, shadowHighU_ + first);
         hn::Store(inV.low, kF, shadowLowV_ + first);
         hn::Store(inV.high, kF, shadowHighV_ + first);
-        return bitsOf(hn::And(r.any, hn::Gt(high, hn::Set(kF, -HUGE_VALF))));
+        const auto exists = hn::Gt(high, hn::Set(kF, -HUGE_VALF));
+        return bitsOf(hn::And(hn::And(r.any, exists), onEnds(inU, inV)));
     }
 
-    /// Blocks in which a ray may meet the patch whose shadow is number i.
-    [[nodiscard]] std::uint64_t blocksMet(int i) const {
-        const Vec lowU = hn::Set(kF, shadowLowU_[i]),
-                  highU = hn::Set(kF, shadowHighU_[i]);
-        const Vec lowV = hn::Set(kF, shadowLowV_[i]),
-                  highV = hn::Set(kF, shadowHighV_[i]);
-        std::uint64_t blocks = 0;
-        for (int b = 0; b < bundle_.blocks; b += kN) {
-            const auto inU = hn::And(hn::Ge(hn::Load(kF, endHighU_ + b), lowU),
-                                     hn::Le(hn::Load(kF, endLowU_ + b), highU));
-            const auto inV = hn::And(hn::Ge(hn::Load(kF, endHighV_ + b), lowV),
-                                     hn::Le(hn::Load(kF, endLowV_ + b), highV));
-            blocks |= std::uint64_t(bitsOf(hn::And(inU, inV))) << b;
+    /// Which shadows lie on the rays' ends.
+    [[nodiscard]] hn::Mask<Floats> onEnds(const Shadow& inU, const Shadow& inV) const {
+        const auto low = hn::And(hn::Le(inU.low, hn::Set(kF, ends_.highU)),
+                                 hn::Le(inV.low, hn::Set(kF, ends_.highV)));
+        const auto high = hn::And(hn::Ge(inU.high, hn::Set(kF, ends_.lowU)),
+                                  hn::Ge(inV.high, hn::Set(kF, ends_.lowV)));
+        return hn::And(low, high);
+    }
+
+    /// Groups of rays that may meet the patch whose shadow is number i.
+    [[nodiscard]] std::uint64_t groupsMet(int i) const {
+        if (bundle_.groups == 1) return 1;
+        const Vec lowU = hn::Set(kF, shadowLowU_[i]);
+        const Vec highU = hn::Set(kF, shadowHighU_[i]);
+        const Vec lowV = hn::Set(kF, shadowLowV_[i]);
+        const Vec highV = hn::Set(kF, shadowHighV_[i]);
+        std::uint64_t groups = 0;
+        for (int k = 0; k < bundle_.groups; k += kN) {
+            const auto inU = hn::And(hn::Ge(hn::Load(kF, endHighU_ + k), lowU),
+                                     hn::Le(hn::Load(kF, endLowU_ + k), highU));
+            const auto inV = hn::And(hn::Ge(hn::Load(kF, endHighV_ + k), lowV),
+                                     hn::Le(hn::Load(kF, endLowV_ + k), highV));
+            groups |= std::uint64_t(bitsOf(hn::And(inU, inV))) << k;
         }
-        return blocks & openBlocks_;
+        return groups;
     }
 
     /// Receivers some of whose rays may meet the patch.
@@ -341,41 +352,34 @@ class Traversal {
         for (int k = 0; k < kLanes; k += kN) {
             const Vec u = hn::Load(kF, bundle_.u + k), v = hn::Load(kF, bundle_.v + k);
             const Vec w = hn::Load(kF, bundle_.w + k);
-            const Reach r = reachOf(hn::Sub(hn::Set(kF, g.low[i]), w),
-                                    hn::Sub(hn::Set(kF, g.high[i]), w),
-                                    hn::Load(kF, dwLow_ + k), hn::Load(kF, dwHigh_ + k));
+            const Reach r =
+                reachOf(hn::Sub(hn::Set(kF, g.low[i]), w),
+                        hn::Sub(hn::Set(kF, g.high[i]), w), hn::Load(kF, wBegin_ + k),
+                        hn::Load(kF, dwLow_ + k), hn::Load(kF, dwHigh_ + k));
             const Shadow inU = shadowOf(hn::Set(kF, g.u[i] - g.halfU[i]),
                                         hn::Set(kF, g.u[i] + g.halfU[i]), u, u, r);
             const Shadow inV = shadowOf(hn::Set(kF, g.v[i] - g.halfV[i]),
                                         hn::Set(kF, g.v[i] + g.halfV[i]), v, v, r);
-            auto met = hn::And(r.any, hn::And(hn::Le(inU.low, hn::Set(kF, endsHighU_)),
-                                              hn::Ge(inU.high, hn::Set(kF, endsLowU_))));
-            met = hn::And(met, hn::And(hn::Le(inV.low, hn::Set(kF, endsHighV_)),
-                                       hn::Ge(inV.high, hn::Set(kF, endsLowV_))));
+            const auto met = hn::And(r.any, onEnds(inU, inV));
             lanes |= bitsOf(met) << k;
         }
         return lanes;
     }
 
     void visit(const PatchGroup& g, int i, int shadow, std::uint32_t lanes) {
-        const std::uint64_t blocks = blocksMet(shadow);
-        if (blocks == 0) return;
-        if (bundle_.hasPlanes) lanes &= lanesBelow(g, i);
+        if (lanes && bundle_.hasPlanes) lanes &= lanesBelow(g, i);
+        if (lanes) lanes &= lanesMet(g, i);
         if (lanes == 0) return;
-        lanes &= lanesMet(g, i);
-        if (lanes == 0) return;
+        const std::uint64_t groups = groupsMet(shadow);
+        if (groups == 0) return;
         std::uint32_t answered = lanes;
         if (g.childGroups[i] > 0) {
             answered &= mayAnswer_[g.level[i]];
-            if (answered && g.sheet[i]) test<true>(g, i, blocks, answered);
+            if (answered && g.sheet[i]) test<true>(g, i, groups, answered);
             answered &= lanesFarFrom(g, i);
         }
-        if (answered) test<false>(g, i, blocks & openBlocks_, answered);
-        std::uint32_t rest = 0;
-        for (std::uint32_t left = lanes & ~answered & lanes_; left; left &= left - 1) {
-            const int lane = std::countr_zero(left);
-            if (rays_.open[lane] & blocks) rest |= 1u << lane;
-        }
+        if (answered) test<false>(g, i, groups, answered);
+        const std::uint32_t rest = lanes & ~answered & lanes_;
         if (rest) queue_.push({g.children[i], g.childGroups[i], std::uint16_t(rest)});
     }
 
@@ -427,21 +431,12 @@ class Traversal {
         return hn::LoadMaskBits(kF, bytes);
     }
 
-    void close(int block, int lane) {
-        const auto inBlock = std::uint16_t(1u << lane);
-        const std::uint64_t inLane = std::uint64_t(1) << block;
-        bundle_.open[block] &= std::uint16_t(~inBlock);
-        rays_.open[lane] &= ~inLane;
-        if (bundle_.open[block] == 0) openBlocks_ &= ~inLane;
-        if (rays_.open[lane] == 0) lanes_ &= std::uint16_t(~inBlock);
-    }
-
-    /// As many rays as fill a vector: of one block, or of one receiver.
+    /// As many rays of one receiver as fill a vector.
     struct Batch {
-        Vec u, v, w, du, dv, dw, begin;
+        float startU, startV, startW;
+        Vec du, dv, dw, begin;
         std::uint32_t open;
         const std::uint8_t* threshold;
-        std::size_t thresholdStep;
     };
 
     /// The patch of a group as rays see it.
@@ -453,10 +448,10 @@ class Traversal {
         std::uint32_t number;
     };
 
-    /// Blocks the rays of these receivers and blocks that the patch takes. kSheet: those
-    /// that surely go through; the patch's children still count for the others.
+    /// Closes the rays of these receivers and groups that the patch blocks. kSheet: those
+    /// that surely go through it; the patch's children still count for the others.
     template <bool kSheet>
-    void test(const PatchGroup& g, int i, std::uint64_t blocks, std::uint32_t lanes) {
+    void test(const PatchGroup& g, int i, std::uint64_t groups, std::uint32_t lanes) {
         const auto texel = float(1u << g.level[i]);
         const float side = kTexels * texel;
         const Seen seen{g,
@@ -466,70 +461,37 @@ class Traversal {
                         std::floor(g.v[i] / side) * side,
                         1.0f / texel,
                         (g.cover[i] * 0x9e3779b1u) >> 28};
-        const int vectors = (bundle_.blocks + kN - 1) / kN;
-        constexpr int parts = kLanes / kN;
-        if (std::popcount(lanes) * vectors < std::popcount(blocks) * parts)
-            testByReceiver<kSheet>(seen, blocks, lanes);
-        else
-            testByBlock<kSheet>(seen, blocks, lanes);
-    }
-
-    template <bool kSheet>
-    void testByBlock(const Seen& seen, std::uint64_t blocks, std::uint32_t lanes) {
-        for (int k = 0; k < kLanes; k += kN) {
+        for (lanes &= lanes_; lanes; lanes &= lanes - 1) {
+            const int receiver = std::countr_zero(lanes);
             Batch batch;
-            batch.u = hn::Load(kF, bundle_.u + k), batch.v = hn::Load(kF, bundle_.v + k);
-            batch.w = hn::Load(kF, bundle_.w + k);
-            batch.thresholdStep = 1;
-            for (std::uint64_t left = blocks; left; left &= left - 1) {
-                const int b = std::countr_zero(left);
-                batch.open = ((bundle_.open[b] & lanes) >> k) & ((1u << kN) - 1);
-                if (batch.open == 0) continue;
-                batch.du = hn::Load(kF, bundle_.du[b] + k);
-                batch.dv = hn::Load(kF, bundle_.dv[b] + k);
-                batch.dw = hn::Load(kF, bundle_.dw[b] + k);
-                batch.begin = hn::Load(kF, bundle_.begin[b] + k);
-                batch.threshold = bundle_.threshold[b] + k;
-                std::uint32_t hits = kSheet ? through(seen, batch) : met(seen, batch);
-                for (; hits; hits &= hits - 1)
-                    close(b, k + std::countr_zero(hits));
+            batch.startU = bundle_.u[receiver], batch.startV = bundle_.v[receiver];
+            batch.startW = bundle_.w[receiver];
+            bool closed = false;
+            for (std::uint64_t left = groups; left; left &= left - 1) {
+                const int row = bundle_.row(receiver, std::countr_zero(left));
+                for (int k = 0; k < kLanes; k += kN) {
+                    batch.open = (std::uint32_t(bundle_.open[row]) >> k) & kAll;
+                    if (batch.open == 0) continue;
+                    batch.du = hn::Load(kF, bundle_.du[row] + k);
+                    batch.dv = hn::Load(kF, bundle_.dv[row] + k);
+                    batch.dw = hn::Load(kF, bundle_.dw[row] + k);
+                    batch.begin = hn::Load(kF, bundle_.begin[row] + k);
+                    batch.threshold = bundle_.threshold[row] + k;
+                    const std::uint32_t hits =
+                        kSheet ? through(seen, batch) : met(seen, batch);
+                    bundle_.open[row] &= std::uint16_t(~(hits << k));
+                    closed = closed || hits == batch.open;
+                }
             }
+            if (closed && !anyOpen(receiver)) lanes_ &= std::uint16_t(~(1u << receiver));
         }
     }
 
-    template <bool kSheet>
-    void testByReceiver(const Seen& seen, std::uint64_t blocks, std::uint32_t lanes) {
-        for (std::uint32_t rest = lanes & lanes_; rest; rest &= rest - 1) {
-            const int lane = std::countr_zero(rest);
-            Batch batch;
-            batch.u = hn::Set(kF, bundle_.u[lane]),
-            batch.v = hn::Set(kF, bundle_.v[lane]);
-            batch.w = hn::Set(kF, bundle_.w[lane]);
-            batch.thresholdStep = kLanes;
-            for (int b = 0; b < bundle_.blocks; b += kN) {
-                batch.open =
-                    std::uint32_t((rays_.open[lane] & blocks) >> b) & ((1u << kN) - 1);
-                if (batch.open == 0) continue;
-                batch.du = hn::Load(kF, rays_.du[lane] + b);
-                batch.dv = hn::Load(kF, rays_.dv[lane] + b);
-                batch.dw = hn::Load(kF, rays_.dw[lane] + b);
-                batch.begin = hn::Load(kF, rays_.begin[lane] + b);
-                batch.threshold = &bundle_.threshold[b][lane];
-                std::uint32_t hits = kSheet ? through(seen, batch) : met(seen, batch);
-                for (; hits; hits &= hits - 1)
-                    close(b + std::countr_zero(hits), lane);
-            }
-        }
-    }
-
-    /// The depth of the patch's plane over the starts, above them.
-    static Vec riseAt(const Seen& p, const Batch& r) {
+    /// The depth of the patch's plane over the start, above it.
+    static float riseAt(const Seen& p, const Batch& r) {
         const PatchGroup& g = p.g;
-        Vec rise = hn::Sub(hn::Set(kF, g.w[p.i]), r.w);
-        rise = hn::MulAdd(hn::Set(kF, g.gradientU[p.i]),
-                          hn::Sub(r.u, hn::Set(kF, g.u[p.i])), rise);
-        return hn::MulAdd(hn::Set(kF, g.gradientV[p.i]),
-                          hn::Sub(r.v, hn::Set(kF, g.v[p.i])), rise);
+        return g.w[p.i] - r.startW + g.gradientU[p.i] * (r.startU - g.u[p.i]) +
+               g.gradientV[p.i] * (r.startV - g.v[p.i]);
     }
     /// One over how fast the rays come nearer to the patch's plane.
     static Vec perApproach(const Seen& p, const Batch& r) {
@@ -539,12 +501,12 @@ class Traversal {
 
     /// Rays that go from below a sheet to above it within its box.
     static std::uint32_t through(const Seen& p, const Batch& r) {
-        const Vec rise = riseAt(p, r), inverse = perApproach(p, r);
-        const Vec residual = hn::Set(kF, p.g.residual[p.i]);
-        const Vec s0 = hn::Mul(hn::Sub(rise, residual), inverse);
-        const Vec s1 = hn::Mul(hn::Add(rise, residual), inverse);
-        const Vec u0 = hn::Sub(r.u, hn::Set(kF, p.g.u[p.i]));
-        const Vec v0 = hn::Sub(r.v, hn::Set(kF, p.g.v[p.i]));
+        const float rise = riseAt(p, r), residual = p.g.residual[p.i];
+        const Vec inverse = perApproach(p, r);
+        const Vec s0 = hn::Mul(hn::Set(kF, rise - residual), inverse);
+        const Vec s1 = hn::Mul(hn::Set(kF, rise + residual), inverse);
+        const Vec u0 = hn::Set(kF, r.startU - p.g.u[p.i]);
+        const Vec v0 = hn::Set(kF, r.startV - p.g.v[p.i]);
         const Vec halfU = hn::Set(kF, p.g.halfU[p.i]),
                   halfV = hn::Set(kF, p.g.halfV[p.i]);
         auto hit = hn::And(hn::Gt(s0, r.begin), hn::Le(s1, hn::Set(kF, 1.0f)));
@@ -558,10 +520,10 @@ class Traversal {
 
     /// Rays that meet the patch's plane where it is covered.
     std::uint32_t met(const Seen& p, const Batch& r) const {
-        const Vec s = hn::Mul(riseAt(p, r), perApproach(p, r));
+        const Vec s = hn::Mul(hn::Set(kF, riseAt(p, r)), perApproach(p, r));
         const Vec scale = hn::Set(kF, p.perTexel), step = hn::Mul(s, scale);
-        const Vec u0 = hn::Mul(hn::Sub(r.u, hn::Set(kF, p.cornerU)), scale);
-        const Vec v0 = hn::Mul(hn::Sub(r.v, hn::Set(kF, p.cornerV)), scale);
+        const Vec u0 = hn::Set(kF, (r.startU - p.cornerU) * p.perTexel);
+        const Vec v0 = hn::Set(kF, (r.startV - p.cornerV) * p.perTexel);
         const Vec u = hn::MulAdd(r.du, step, u0), v = hn::MulAdd(r.dv, step, v0);
         const Vec none = hn::Zero(kF), all = hn::Set(kF, float(kTexels));
         auto hit = hn::And(hn::Gt(s, r.begin), hn::Le(s, hn::Set(kF, 1.0f)));
@@ -600,11 +562,9 @@ class Traversal {
                 hn::Ne(hn::And(rowsAt(p.cover[plane], y), bit), hn::Zero(kI));
             share = hn::Add(share, hn::IfThenElseZero(covered, hn::Set(kI, 1 << plane)));
         }
-        alignas(64) std::int32_t thresholds[kN];
-        for (int k = 0; k < kN; ++k)
-            thresholds[k] =
-                std::int32_t(r.threshold[std::size_t(k) * r.thresholdStep] ^ p.number);
-        const VecI threshold = hn::Load(kI, thresholds);
+        const hn::Rebind<std::uint8_t, Ints> bytes;
+        const VecI threshold = hn::Xor(hn::PromoteTo(kI, hn::LoadU(bytes, r.threshold)),
+                                       hn::Set(kI, std::int32_t(p.number)));
         const auto full = hn::Eq(share, hn::Set(kI, 15));
         return bitsOf(hn::Or(full, hn::Lt(threshold, share)));
     }
@@ -613,22 +573,24 @@ class Traversal {
     /// Nearer to its start than this nothing is told from the start.
     static constexpr float kLeastS = 0x1p-20f;
 
+    static constexpr std::uint32_t kAll = (1u << kN) - 1;
+
     const PatchTree& tree_;
     RayBundle& bundle_;
-    std::uint64_t openBlocks_ = 0;
-    std::uint16_t lanes_ = 0;
+    std::uint16_t lanes_ = 0;  // receivers with open rays
     std::uint16_t mayAnswer_[kMostLevels];
     int top_ = 0;
     struct Hull {
-        float uLow, uHigh, vLow, vHigh, wLow, wHigh, dwLow, dwHigh;
+        float uLow, uHigh, vLow, vHigh, wLow, wHigh, dwLow, dwHigh, wBegin;
     } hull_;
-    float endsLowU_, endsHighU_, endsLowV_, endsHighV_;
-    alignas(64) float dwLow_[kLanes], dwHigh_[kLanes];  // of each receiver
-    alignas(64) float endLowU_[kMostBlocks], endHighU_[kMostBlocks];
-    alignas(64) float endLowV_[kMostBlocks], endHighV_[kMostBlocks];
+    Ends ends_;  // of all rays
+    // Of each receiver's rays: what they rise by, and from which height on they count.
+    alignas(64) float dwLow_[kLanes], dwHigh_[kLanes], wBegin_[kLanes];
+    // Of each group's rays.
+    alignas(64) float endLowU_[kMostRows], endHighU_[kMostRows];
+    alignas(64) float endLowV_[kMostRows], endHighV_[kMostRows];
     alignas(64) float shadowLowU_[16], shadowHighU_[16], shadowLowV_[16],
         shadowHighV_[16];
-    Rays rays_;
     Queue queue_;
 };
 

@@ -715,7 +715,12 @@ const std::vector<PatchTree>& patchTrees(const ShadowMap& map) {
     return map.queryData().get<std::vector<PatchTree>>([&] {
         std::vector<PatchTree> trees;
         for (std::uint32_t face = 0; face < map.faceCount(); ++face)
-            trees.push_back(PatchTree::build(map, face, {}));
+            trees.push_back(PatchTree::build(
+                map, face,
+                {.flatness =
+                     map.nearField(face).empty()
+                         ? 0.3f
+                         : (getenv("FLAT") ? float(atof(getenv("FLAT"))) : 2.0f)}));
         return trees;
     });
 }
