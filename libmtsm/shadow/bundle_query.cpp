@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <glm/matrix.hpp>
 
 #include "base/sampling.h"
 #include "trace/near_trace.h"
@@ -84,9 +85,9 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
         without_.emplace(raysOf(map, light_, options, false, key));
     const light::LightView seen = light_.view(projection_.eye + projection_.forward);
     fixedAxes_ = seen.endless || seen.domain != light::LightView::Domain::cap;
-    const auto turn = [&](glm::dvec3 d) {
-        return projection_.lightFromWorldDirection(d);
-    };
+    turn_ = glm::transpose(
+        glm::dmat3(projection_.right, projection_.up, projection_.forward));
+    const auto turn = [&](glm::dvec3 d) { return turned(d); };
     axisX_ = turn(seen.x), axisY_ = turn(seen.y), axisZ_ = turn(seen.z);
     base_ = turn(seen.base);
     capHeight_ = seen.capHeight;
@@ -95,27 +96,23 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
     if (!seen.endless) centre_ = projection_.lightFromWorld(light_.centre());
 }
 
-bool BundleQuery::takes(glm::dvec3 point) const noexcept {
-    const glm::dvec3 p = projection_.lightFromWorld(point);
-    const bool perspective = projection_.kind == ProjectionKind::perspective;
-    if (perspective && !(p.z > 0.5 * map_.zRange(0).min)) return false;
-    const glm::dvec2 r = projection_.rasterFromLight(p);
-    const double width = map_.info().width, height = map_.info().height;
-    return std::abs(r.x - 0.5 * width) <= kFarthestOutside * width &&
-           std::abs(r.y - 0.5 * height) <= kFarthestOutside * height;
-}
-
-std::uint32_t BundleQuery::placeOf(glm::dvec3 point) const noexcept {
-    const glm::dvec3 p = projection_.lightFromWorld(point);
-    const glm::dvec2 r = projection_.rasterFromLight(p);
-    const double footprint = projection_.pixelFootprint(1.0);
-    // In windows away from its middle; depth too.
-    const double width = std::max(map_.info().width, map_.info().height);
+std::optional<std::uint32_t> BundleQuery::placeOf(glm::dvec3 point) const noexcept {
+    const glm::dvec3 p = turned(point - projection_.eye);
     const ZRange range = map_.zRange(0);
     const bool perspective = projection_.kind == ProjectionKind::perspective;
-    const double away = perspective ? 1.0 - range.max / p.z : p.z - range.max;
-    const double places[] = {r.x / width - 0.5, r.y / width - 0.5,
-                             away / (footprint * width)};
+    if (perspective && !(p.z > 0.5 * range.min)) return std::nullopt;
+    const double w = perspective ? 1.0 / p.z : 1.0;
+    const double width = map_.info().width, height = map_.info().height;
+    const double u = projection_.scale.x * p.x * w + projection_.offset.x;
+    const double v = projection_.scale.y * p.y * w + projection_.offset.y;
+    if (!(std::abs(u - 0.5 * width) <= kFarthestOutside * width &&
+          std::abs(v - 0.5 * height) <= kFarthestOutside * height))
+        return std::nullopt;
+    // In windows away from its middle; depth too.
+    const double window = std::max(width, height);
+    const double away = perspective ? 1.0 - range.max * w : p.z - range.max;
+    const double places[] = {u / window - 0.5, v / window - 0.5,
+                             away / (projection_.pixelFootprint(1.0) * window)};
     std::uint32_t place = 0;
     for (int i = 0; i < 3; ++i) {
         // Finest in the middle, and nothing is too far away.
@@ -127,12 +124,16 @@ std::uint32_t BundleQuery::placeOf(glm::dvec3 point) const noexcept {
 }
 
 std::uint32_t BundleQuery::keyOf(const Receiver& receiver) const noexcept {
-    return std::uint32_t(base::pointKey(receiver.point, options_.seed));
+    std::uint64_t key = options_.seed + 1;
+    for (int i = 0; i < 3; ++i)
+        key = (key ^ std::bit_cast<std::uint64_t>(receiver.point[i] + 0.0)) *
+              0x9e3779b97f4a7c15u;
+    return std::uint32_t(base::mix(key) >> 16);
 }
 
 void BundleQuery::setLane(const Receiver& receiver, int lane,
                           ReceiverLanes& lanes) const noexcept {
-    const glm::dvec3 p = projection_.lightFromWorld(receiver.point);
+    const glm::dvec3 p = turned(receiver.point - projection_.eye);
     const auto set = [lane](ReceiverLanes::Lanes& x, ReceiverLanes::Lanes& y,
                             ReceiverLanes::Lanes& z, glm::dvec3 v) {
         x[lane] = float(v.x), y[lane] = float(v.y), z[lane] = float(v.z);
@@ -142,9 +143,7 @@ void BundleQuery::setLane(const Receiver& receiver, int lane,
     double capHeight = capHeight_;
     if (!fixedAxes_) {
         const light::LightView seen = light_.view(receiver.point);
-        const auto turn = [&](glm::dvec3 d) {
-            return projection_.lightFromWorldDirection(d);
-        };
+        const auto turn = [&](glm::dvec3 d) { return turned(d); };
         base = turn(seen.base);
         x = turn(seen.x), y = turn(seen.y), z = turn(seen.z);
         capHeight = seen.capHeight;
@@ -154,8 +153,12 @@ void BundleQuery::setLane(const Receiver& receiver, int lane,
     set(lanes.axisXX, lanes.axisXY, lanes.axisXZ, x);
     set(lanes.axisYX, lanes.axisYY, lanes.axisYZ, y);
     set(lanes.axisZX, lanes.axisZY, lanes.axisZZ, z);
-    set(lanes.normalX, lanes.normalY, lanes.normalZ,
-        projection_.lightFromWorldDirection(receiver.normal));
+    glm::dvec3 normal = turned(receiver.normal);
+    // Its square must be a float's.
+    const double size =
+        std::max({std::abs(normal.x), std::abs(normal.y), std::abs(normal.z)});
+    if (size > 0.0) normal *= 1.0 / size;
+    set(lanes.normalX, lanes.normalY, lanes.normalZ, normal);
     lanes.capHeight[lane] = float(capHeight);
     lanes.start[lane] = float(kStartBiases * bias_.at(p.z));
     lanes.key[lane] = keyOf(receiver);

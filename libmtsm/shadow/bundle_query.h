@@ -3,6 +3,7 @@
 //
 // A point's answer does not depend on which others are asked with it.
 #pragma once
+#include <glm/mat3x3.hpp>
 #include <glm/vec3.hpp>
 #include <optional>
 
@@ -23,18 +24,17 @@ class BundleQuery {
 
     struct Receiver {
         glm::dvec3 point{0.0};
-        glm::dvec3 normal{0.0};  ///< unit; zero: none, for all of a call or for none
+        /// Any length; zero: none, for all of a call or none.
+        glm::dvec3 normal{0.0};
     };
     /// `only`: nothing else will be asked for.
     BundleQuery(const ShadowMap& map, const AreaLight& light,
                 const ShadowOptions& options, const Receiver* only = nullptr);
 
-    /// Points that are finite and not behind the light: can it answer this one? Far
-    /// outside the view rays in float are too coarse.
-    [[nodiscard]] bool takes(glm::dvec3 point) const noexcept;
-
-    /// A number that is close for points whose rays take much the same way, < 2^30.
-    [[nodiscard]] std::uint32_t placeOf(glm::dvec3 point) const noexcept;
+    /// A number below 2^30 that is close for points whose rays take much the same way;
+    /// nothing for points that it cannot answer: far outside the view, rays in float are
+    /// too coarse. The point must be finite and not behind the light.
+    [[nodiscard]] std::optional<std::uint32_t> placeOf(glm::dvec3 point) const noexcept;
 
     /// Shadow factors of 1 to 16 receivers; counts rays.
     void shadowFactors(const Receiver* receivers, int count, float* out,
@@ -42,12 +42,16 @@ class BundleQuery {
 
   private:
     [[nodiscard]] std::uint32_t keyOf(const Receiver& receiver) const noexcept;
+    [[nodiscard]] glm::dvec3 turned(glm::dvec3 direction) const noexcept {
+        return turn_ * direction;
+    }
     void setLane(const Receiver& receiver, int lane, ReceiverLanes& lanes) const noexcept;
 
     void traceNear(trace::RayBundle& bundle, const RayFates& fates) const noexcept;
 
     const ShadowMap& map_;
     const Projection& projection_;
+    glm::dmat3 turn_;  // world to light space
     light::LightSampler light_;
     ShadowOptions options_;
     trace::ZBias bias_;

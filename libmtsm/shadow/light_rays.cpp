@@ -98,7 +98,8 @@ class Starts {
         hn::Store(start_.y, kF, bundle.v + first);
         hn::Store(start_.z, kF, bundle.w + first);
         if (in.normals) setPlanes();
-        setSpread();
+        setSlopes();
+        if (in.groups > 1) setGroups();
     }
 
   private:
@@ -110,6 +111,9 @@ class Starts {
     /// [map.h]: a height above the tangent plane in world units, times w if perspective,
     /// is linear in straight space.
     void setPlanes() {
+        const Vec size = hn::Div(constant(1.0f), hn::Sqrt(dot(normal_, normal_)));
+        normal_ = {hn::Mul(normal_.x, size), hn::Mul(normal_.y, size),
+                   hn::Mul(normal_.z, size)};
         const Vec a = hn::Mul(normal_.x, constant(1.0f / view_.scaleU));
         const Vec b = hn::Mul(normal_.y, constant(1.0f / view_.scaleV));
         const Vec c =
@@ -131,43 +135,118 @@ class Starts {
         return {hn::Mul(constant(-view_.scaleU), x), hn::Mul(constant(-view_.scaleV), y)};
     }
 
-    /// How far apart the rays are, from the light's middle and its four ends.
-    void setSpread() {
-        Vec3 middle = base_;
+    /// The least and the most slopes.
+    struct Slopes {
+        Vec lowU, highU, lowV, highV;
+        MaskF towardsEye;
+
+        static Slopes none() {
+            const Vec never = constant(HUGE_VALF);
+            return {never, hn::Neg(never), never, hn::Neg(never), hn::Eq(never, never)};
+        }
+    };
+
+    /// Adds those of rays to a piece of the light, corners included: (a, b) from low to
+    /// high, of the light's square or of the square around its disk.
+    void addSlopes(const LightRays::Piece& piece, Slopes& slopes) const {
+        // A cap lies between the plane of its rim and its summit.
+        const bool cap = in_.domain == light::LightView::Domain::cap;
         Vec reach = constant(1.0f);
-        if (in_.domain == light::LightView::Domain::cap) {
-            middle = along(base_, hn::Sub(constant(1.0f), capHeight_), axisZ_);
+        if (cap)
             reach = hn::Sqrt(hn::Max(
                 hn::Zero(kF), hn::Mul(capHeight_, hn::Sub(constant(2.0f), capHeight_))));
-        }
-        Vec lowU = constant(HUGE_VALF), lowV = lowU, highU = hn::Neg(lowU), highV = highU;
-        MaskF towardsEye = hn::Lt(middle.z, hn::Zero(kF));
-        for (const float side : {-1.0f, 1.0f}) {
-            const Vec way = hn::Mul(constant(side), reach);
-            for (const Vec3& axis : {axisX_, axisY_}) {
-                const Vec3 end = along(middle, way, axis);
-                towardsEye = hn::And(towardsEye, hn::Lt(end.z, hn::Zero(kF)));
-                const Pair at = slope(end);
-                lowU = hn::Min(lowU, at.x), highU = hn::Max(highU, at.x);
-                lowV = hn::Min(lowV, at.y), highV = hn::Max(highV, at.y);
+        for (int plane = 0; plane < (cap ? 2 : 1); ++plane) {
+            const Vec height = plane == 0 ? capHeight_ : hn::Zero(kF);
+            const Vec3 middle =
+                cap ? along(base_, hn::Sub(constant(1.0f), height), axisZ_) : base_;
+            for (const float a : {piece.lowA, piece.highA}) {
+                for (const float b : {piece.lowB, piece.highB}) {
+                    const Vec3 side = along(middle, hn::Mul(reach, constant(a)), axisX_);
+                    const Vec3 end = along(side, hn::Mul(reach, constant(b)), axisY_);
+                    slopes.towardsEye =
+                        hn::And(slopes.towardsEye, hn::Lt(end.z, hn::Zero(kF)));
+                    const Pair at = slope(end);
+                    slopes.lowU = hn::Min(slopes.lowU, at.x);
+                    slopes.highU = hn::Max(slopes.highU, at.x);
+                    slopes.lowV = hn::Min(slopes.lowV, at.y);
+                    slopes.highV = hn::Max(slopes.highV, at.y);
+                }
             }
         }
-        const Vec extentU = hn::Sub(highU, lowU), extentV = hn::Sub(highV, lowV);
-        const Vec spread = hn::Sqrt(
-            hn::Mul(hn::Mul(extentU, extentV), constant(1.0f / float(in_.samples))));
-        const Vec slant = hn::Max(hn::Max(hn::Abs(lowU), hn::Abs(highU)),
-                                  hn::Max(hn::Abs(lowV), hn::Abs(highV)));
-        // Rays that lead along the map or away from the eye know no coarser level.
-        hn::Store(hn::IfThenElseZero(towardsEye, spread), kF, bundle_.spread + first_);
-        hn::Store(hn::IfThenElse(towardsEye, slant, constant(HUGE_VALF)), kF,
-                  bundle_.slant + first_);
+        // Rays themselves are rounded.
+        const Vec more = constant(1.0f + 0x1p-18f), less = constant(1.0f - 0x1p-18f);
+        const auto grow = [&](Vec low, Vec high, Vec& lower, Vec& higher) {
+            const Vec zero = hn::Zero(kF);
+            lower = hn::Mul(low, hn::IfThenElse(hn::Lt(low, zero), more, less));
+            higher = hn::Mul(high, hn::IfThenElse(hn::Lt(high, zero), less, more));
+        };
+        grow(slopes.lowU, slopes.highU, slopes.lowU, slopes.highU);
+        grow(slopes.lowV, slopes.highV, slopes.lowV, slopes.highV);
+    }
+
+    /// Of the light, in slopes.
+    Vec area() const {
+        using Domain = light::LightView::Domain;
+        Vec3 centre = base_;
+        if (in_.domain == Domain::cap)
+            centre = along(base_, hn::Sub(constant(1.0f), capHeight_), axisZ_);
+        const Pair middle = slope(centre);
+        const Pair x = slope(along(centre, constant(1.0f), axisX_));
+        const Pair y = slope(along(centre, constant(1.0f), axisY_));
+        const Vec product =
+            hn::Sub(hn::Mul(hn::Sub(x.x, middle.x), hn::Sub(y.y, middle.y)),
+                    hn::Mul(hn::Sub(x.y, middle.y), hn::Sub(y.x, middle.x)));
+        const Vec size =
+            hn::Mul(hn::Abs(product),
+                    constant(in_.domain == Domain::square ? 4.0f : 3.14159265f));
+        if (in_.domain != Domain::cap) return size;
+        return hn::Mul(size, hn::Mul(capHeight_, hn::Sub(constant(2.0f), capHeight_)));
+    }
+
+    void setSlopes() {
+        Slopes slopes = Slopes::none();
+        addSlopes({-1.0f, 1.0f, -1.0f, 1.0f}, slopes);
+        // Rays that lead along the map or away from the eye have no bounds.
+        const MaskF bounded = slopes.towardsEye;
+        const auto keep = [&](Vec value, float* to) {
+            hn::Store(hn::IfThenElseZero(bounded, value), kF, to + first_);
+        };
+        keep(slopes.lowU, bundle_.slopeLowU), keep(slopes.highU, bundle_.slopeHighU);
+        keep(slopes.lowV, bundle_.slopeLowV), keep(slopes.highV, bundle_.slopeHighV);
+        bundle_.wide |= std::uint16_t((bitsOf(bounded) ^ ((1u << kN) - 1)) << first_);
+        const Vec extentU = hn::Sub(slopes.highU, slopes.lowU);
+        const Vec extentV = hn::Sub(slopes.highV, slopes.lowV);
+        keep(hn::Sqrt(hn::Mul(area(), constant(1.0f / float(in_.samples)))),
+             bundle_.spread);
+        const Vec depth = hn::MulAdd(constant(view_.nearPerW), hn::Abs(start_.z),
+                                     constant(view_.nearConstant));
+        hn::Store(depth, kF, bundle_.rise + first_);
         alignas(64) float widest[kN];
         const Vec away =
             hn::Max(hn::Zero(kF), hn::Sub(constant(view_.highest), start_.z));
         const Vec widths = hn::Mul(hn::Max(extentU, extentV), away);
-        hn::Store(hn::IfThenElseZero(towardsEye, widths), kF, widest);
+        hn::Store(hn::IfThenElseZero(bounded, widths), kF, widest);
         for (int i = 0; i < kN; ++i)
             bundle_.topLevel[first_ + i] = levelOf(widest[i]);
+    }
+
+    void setGroups() {
+        for (int group = 0; group < in_.groups; ++group) {
+            Slopes slopes = Slopes::none();
+            addSlopes(in_.points.groups[std::size_t(in_.firstGroup + group)], slopes);
+            const auto include = [&](float& low, float& high, Vec lower, Vec higher) {
+                low = std::min(low, hn::GetLane(hn::MinOfLanes(kF, lower)));
+                high = std::max(high, hn::GetLane(hn::MaxOfLanes(kF, higher)));
+            };
+            if (first_ == 0) {
+                bundle_.groupLowU[group] = bundle_.groupLowV[group] = HUGE_VALF;
+                bundle_.groupHighU[group] = bundle_.groupHighV[group] = -HUGE_VALF;
+            }
+            include(bundle_.groupLowU[group], bundle_.groupHighU[group], slopes.lowU,
+                    slopes.highU);
+            include(bundle_.groupLowV[group], bundle_.groupHighV[group], slopes.lowV,
+                    slopes.highV);
+        }
     }
 
     /// The first level whose tiles are as wide.
@@ -227,11 +306,12 @@ class Rays {
             bundle_.open[row] &= std::uint16_t((1u << left) - 1);
             fates_.clear[row] &= std::uint16_t((1u << left) - 1);
         }
-        // Points that follow each other lie close together: thresholds that differ most.
-        for (int i = 0; i < kLanes; ++i) {
-            const int far = (i & 1) << 3 | (i & 2) << 1 | (i & 4) >> 1 | i >> 3;
-            bundle_.threshold[row][i] = std::uint8_t(std::uint32_t(far) ^ key >> 28);
-        }
+        // Points that follow each other lie close together: thresholds that differ most,
+        // which are the bits of 0 to 15 in reverse.
+        const std::uint64_t turn = (key >> 28) * 0x0101010101010101u;
+        const std::uint64_t far[2] = {0x0e060a020c040800u ^ turn,
+                                      0x0f070b030d050901u ^ turn};
+        std::memcpy(bundle_.threshold[row], far, sizeof far);
     }
 
   private:
@@ -358,7 +438,9 @@ class Rays {
     void weigh(int row, int i, Vec3 delta, Vec3 radial) {
         const Vec zero = hn::Zero(kF);
         const Vec d2 = dot(delta, delta), length = hn::Sqrt(d2);
-        Vec weight = hn::Div(hn::Max(zero, dot(delta, normal_)), length);
+        const Vec facingLight =
+            hn::Div(dot(delta, normal_), hn::Sqrt(dot(normal_, normal_)));
+        Vec weight = hn::Div(hn::Max(zero, facingLight), length);
         if (!in_.endless) {
             weight = hn::Div(weight, d2);
             Vec3 normal{constant(in_.shines.x), constant(in_.shines.y),
@@ -393,6 +475,7 @@ void fill(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
     bundle.groups = in.groups;
     bundle.hasPlanes = in.normals;
     bundle.planeHeight = in.view.planeHeight;
+    bundle.wide = 0;
     for (int first = 0; first < trace::kMostReceivers; first += kN)
         Starts(in, first, bundle);
     for (int receiver = 0; receiver < in.at.count; ++receiver) {
@@ -446,6 +529,8 @@ LightRays::Points makePoints(const LightRays::Setting& setting,
     LightRays::Points points;
     points.patterns = setting.onlyKey ? 1 : kPatterns;
     points.each = (setting.samples + trace::kLanes - 1) / trace::kLanes * trace::kLanes;
+    const LightRays::Piece none{HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF};
+    points.groups.assign(points.each / trace::kLanes, none);
     for (std::uint32_t p = 0; p < points.patterns; ++p) {
         const std::uint32_t number = setting.onlyKey ? *setting.onlyKey % kPatterns : p;
         for (const glm::dvec2 u : pattern(number, setting.seed, setting.samples)) {
@@ -457,6 +542,13 @@ LightRays::Points makePoints(const LightRays::Setting& setting,
         }
         points.a.resize(std::size_t(p + 1) * points.each, points.a.back());
         points.b.resize(std::size_t(p + 1) * points.each, points.b.back());
+        for (std::size_t i = 0; i < points.each; ++i) {
+            const float a = points.a[p * points.each + i];
+            const float b = points.b[p * points.each + i];
+            LightRays::Piece& piece = points.groups[i / trace::kLanes];
+            piece.lowA = std::min(piece.lowA, a), piece.highA = std::max(piece.highA, a);
+            piece.lowB = std::min(piece.lowB, b), piece.highB = std::max(piece.highB, b);
+        }
     }
     return points;
 }

@@ -26,7 +26,7 @@ struct ReceiverLanes {
     alignas(64) Lanes axisYX, axisYY, axisYZ;
     alignas(64) Lanes axisZX, axisZY, axisZZ;
     alignas(64) Lanes capHeight;
-    alignas(64) Lanes normalX, normalY, normalZ;  // unit; zero: none
+    alignas(64) Lanes normalX, normalY, normalZ;  // any length; zero: none
     alignas(64) Lanes start;  // without normals: distance, world units
     std::uint32_t key[trace::kMostReceivers];
 };
@@ -70,11 +70,16 @@ class LightRays {
     void fill(const ReceiverLanes& receivers, int first, int groups,
               trace::RayBundle& bundle, RayFates& fates) const noexcept;
 
+    /// A piece of the light: of LightView's square, or of the square around its disk.
+    struct Piece {
+        float lowA, highA, lowB, highB;
+    };
     /// Points on the light, all sequences, [pattern][16 groups]: of LightView's square or
-    /// disk.
+    /// disk; and the pieces in which those of a group lie, whatever the sequence.
     struct Points {
         std::uint32_t patterns = 1, each = 0;
         std::vector<float> a, b;
+        std::vector<Piece> groups;
     };
     /// The face, in float.
     struct View {

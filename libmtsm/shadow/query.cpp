@@ -49,10 +49,10 @@ void Query::count(glm::dvec3 point, QueryStats& stats) const noexcept {
 }
 
 glm::dvec3 unitNormal(glm::dvec3 normal) noexcept {
+    if (!saysSomething(normal)) return glm::dvec3(0.0);
     // Scaled first: the square of a length may overflow or vanish.
     const double size =
         std::max({std::abs(normal.x), std::abs(normal.y), std::abs(normal.z)});
-    if (!(size > 0.0) || !base::isFinite(normal)) return glm::dvec3(0.0);
     return glm::normalize(normal / size);
 }
 

@@ -85,6 +85,10 @@ class Query {
     std::uint32_t samples_ = 1;
 };
 
+/// Is it finite and not zero?
+[[nodiscard]] inline bool saysSomething(glm::dvec3 normal) noexcept {
+    return base::isFinite(normal) && normal != glm::dvec3(0.0);
+}
 /// Of a normal of any length; zero if it says nothing.
 [[nodiscard]] glm::dvec3 unitNormal(glm::dvec3 normal) noexcept;
 

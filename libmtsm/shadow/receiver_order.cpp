@@ -40,11 +40,12 @@ ReceiverOrder::ReceiverOrder(const Query& query, const BundleQuery& bundles,
             for (std::size_t i = begin; i < end; ++i) {
                 Kind kind = Kind::alone;
                 std::uint32_t place = 0;
-                if (query.isShadowed(points[i]) && bundles.takes(points[i])) {
-                    const bool normal =
-                        normals && unitNormal(normals[i]) != glm::dvec3(0.0);
-                    kind = normal ? Kind::withNormal : Kind::without;
-                    place = bundles.placeOf(points[i]);
+                const auto at = query.isShadowed(points[i]) ? bundles.placeOf(points[i])
+                                                            : std::nullopt;
+                if (at) {
+                    kind = normals && saysSomething(normals[i]) ? Kind::withNormal
+                                                                : Kind::without;
+                    place = *at;
                 }
                 sorted_[i] = {std::uint32_t(kind) << 30 | place, std::uint32_t(i)};
             }

@@ -61,7 +61,8 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
             for (std::size_t k = 0; k < group.count; ++k) {
                 const std::size_t i = order[first + k];
                 receivers[k].point = points[i];
-                if (normals) receivers[k].normal = shadow::unitNormal(normals[i]);
+                if (normals && shadow::saysSomething(normals[i]))
+                    receivers[k].normal = normals[i];
             }
             if (group.bundled) {
                 for (std::size_t k = 0; k < group.count; ++k)

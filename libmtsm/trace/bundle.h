@@ -36,12 +36,23 @@ struct RayBundle {
     /// clear the bits of rays that are blocked.
     std::uint16_t open[kMostRows];
 
+    // What all rays of a receiver have in common.
+    /// [receiver]: pixels that they go in u and v per w, from the least to the most. Rays
+    /// that are level or lead away from the eye have no such bounds: then `wide`, one bit
+    /// a receiver.
+    alignas(64) float slopeLowU[kMostReceivers], slopeHighU[kMostReceivers];
+    alignas(64) float slopeLowV[kMostReceivers], slopeHighV[kMostReceivers];
+    std::uint16_t wide = 0;
+    /// [receiver]: nothing counts (layers) that rises less than this above the start, w.
+    alignas(64) float rise[kMostReceivers];
+    /// [group]: the slopes of the rays of all receivers, if there are several groups.
+    alignas(64) float groupLowU[kMostRows], groupHighU[kMostRows];
+    alignas(64) float groupLowV[kMostRows], groupHighV[kMostRows];
+
     // How coarsely rays may be answered.
     /// [receiver]: distance between neighbouring rays, pixels, per w that they are away
     /// from the start: something so much coarser than a pixel does.
     alignas(64) float spread[kMostReceivers];
-    /// [receiver]: most pixels that a ray goes sideways per w.
-    alignas(64) float slant[kMostReceivers];
     /// [receiver]: no level above this one may answer.
     std::uint8_t topLevel[kMostReceivers];
     /// [row][lane]: a texel that is covered in part blocks the rays whose threshold

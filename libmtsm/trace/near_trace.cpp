@@ -44,13 +44,13 @@ constexpr float kMargin = 0x1p-20f;
 /// Of the sum of a volume's terms without their signs; their rounding is half of it.
 constexpr float kRounding = 0x1p-20f;
 
-std::uint32_t bitsOf(Floats d, Mask mask) {
+HWY_INLINE std::uint32_t bitsOf(Floats d, Mask mask) {
     std::uint8_t bytes[8] = {};
     hn::StoreMaskBits(d, mask, bytes);
     return bytes[0] | std::uint32_t(bytes[1]) << 8;
 }
 
-Mask maskOf(Floats d, std::uint32_t bits) {
+HWY_INLINE Mask maskOf(Floats d, std::uint32_t bits) {
     const std::uint8_t bytes[8] = {std::uint8_t(bits), std::uint8_t(bits >> 8)};
     return hn::LoadMaskBits(d, bytes);
 }
@@ -60,26 +60,26 @@ struct Vec3 {
     Vec x, y, z;
 };
 
-Vec3 add(const Vec3& a, const Vec3& b) {
+HWY_INLINE Vec3 add(const Vec3& a, const Vec3& b) {
     return {hn::Add(a.x, b.x), hn::Add(a.y, b.y), hn::Add(a.z, b.z)};
 }
 
-Vec3 subtract(const Vec3& a, const Vec3& b) {
+HWY_INLINE Vec3 subtract(const Vec3& a, const Vec3& b) {
     return {hn::Sub(a.x, b.x), hn::Sub(a.y, b.y), hn::Sub(a.z, b.z)};
 }
 
-Vec dot(const Vec3& a, const Vec3& b) {
+HWY_INLINE Vec dot(const Vec3& a, const Vec3& b) {
     return hn::Add(hn::Add(hn::Mul(a.x, b.x), hn::Mul(a.y, b.y)), hn::Mul(a.z, b.z));
 }
 
-Vec3 cross(const Vec3& a, const Vec3& b) {
+HWY_INLINE Vec3 cross(const Vec3& a, const Vec3& b) {
     return {hn::Sub(hn::Mul(a.y, b.z), hn::Mul(a.z, b.y)),
             hn::Sub(hn::Mul(a.z, b.x), hn::Mul(a.x, b.z)),
             hn::Sub(hn::Mul(a.x, b.y), hn::Mul(a.y, b.x))};
 }
 
 /// What cross(a, b) is summed up from, without signs.
-Vec3 crossTerms(const Vec3& a, const Vec3& b) {
+HWY_INLINE Vec3 crossTerms(const Vec3& a, const Vec3& b) {
     const auto terms = [](Vec p, Vec q, Vec r, Vec s) {
         return hn::Add(hn::Mul(p, q), hn::Mul(r, s));
     };
@@ -87,15 +87,15 @@ Vec3 crossTerms(const Vec3& a, const Vec3& b) {
             terms(a.x, b.y, a.y, b.x)};
 }
 
-Vec3 abs(const Vec3& a) {
+HWY_INLINE Vec3 abs(const Vec3& a) {
     return {hn::Abs(a.x), hn::Abs(a.y), hn::Abs(a.z)};
 }
 
-Vec3 max(const Vec3& a, const Vec3& b) {
+HWY_INLINE Vec3 max(const Vec3& a, const Vec3& b) {
     return {hn::Max(a.x, b.x), hn::Max(a.y, b.y), hn::Max(a.z, b.z)};
 }
 
-Vec3 broadcast(Floats d, const float (&p)[3]) {
+HWY_INLINE Vec3 broadcast(Floats d, const float (&p)[3]) {
     return {hn::Set(d, p[0]), hn::Set(d, p[1]), hn::Set(d, p[2])};
 }
 
@@ -249,36 +249,36 @@ bool Walk::anyOpen(int receiver) const {
     return open != 0;
 }
 
-/// boxOf() for one ray is the same to the last bit.
+/// Contains boxOf() of all its rays.
 void Walk::bound(int receiver) {
     if (!anyOpen(receiver)) return;
     lanesLeft_ = std::uint16_t(lanesLeft_ | 1u << receiver);
-    const Floats d;
-    float start[3];
-    startOf(receiver, start);
-    const float(*const deltas[3])[kLanes] = {rays_.du, rays_.dv, rays_.dw};
     Box box;
-    for (int axis = 0; axis < 3; ++axis) {
-        const Vec origin = hn::Set(d, start[axis]);
-        Vec lowest = hn::Set(d, kInfinity), highest = hn::Neg(lowest);
+    if (rays_.wide >> receiver & 1) {
         for (int group = 0; group < rays_.groups; ++group) {
             const int row = rays_.row(receiver, group);
-            for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
-                const Mask open = maskOf(d, std::uint32_t(rays_.open[row]) >> i);
-                const Vec way = hn::Load(d, deltas[axis][row] + i);
-                const Vec margin =
-                    hn::Mul(hn::Add(hn::Abs(origin), hn::Abs(way)), hn::Set(d, kMargin));
-                const Vec from =
-                    hn::Add(origin, hn::Mul(hn::Load(d, rays_.begin[row] + i), way));
-                const Vec to = hn::Add(origin, hn::Mul(hn::Load(d, end_[row] + i), way));
-                const Vec low = hn::Sub(hn::Min(from, to), margin);
-                const Vec high = hn::Add(hn::Max(from, to), margin);
-                lowest = hn::Min(lowest, hn::IfThenElse(open, low, lowest));
-                highest = hn::Max(highest, hn::IfThenElse(open, high, highest));
-            }
+            for (std::uint32_t open = rays_.open[row]; open; open &= open - 1)
+                box.include(boxOf(receiver, row, std::countr_zero(open)));
         }
-        box.low[axis] = low_[axis][receiver] = hn::GetLane(hn::MinOfLanes(d, lowest));
-        box.high[axis] = high_[axis][receiver] = hn::GetLane(hn::MaxOfLanes(d, highest));
+    } else {
+        float start[3];
+        startOf(receiver, start);
+        const float rise = rays_.rise[receiver];
+        const float lows[3] = {rays_.slopeLowU[receiver], rays_.slopeLowV[receiver],
+                               0.0f};
+        const float highs[3] = {rays_.slopeHighU[receiver], rays_.slopeHighV[receiver],
+                                1.0f};
+        for (int axis = 0; axis < 3; ++axis) {
+            const float way =
+                std::max(std::abs(lows[axis]), std::abs(highs[axis])) * rise;
+            const float margin = (std::abs(start[axis]) + way) * 2.0f * kMargin;
+            box.low[axis] = start[axis] + std::min(0.0f, lows[axis] * rise) - margin;
+            box.high[axis] = start[axis] + std::max(0.0f, highs[axis] * rise) + margin;
+        }
+    }
+    for (int axis = 0; axis < 3; ++axis) {
+        low_[axis][receiver] = box.low[axis];
+        high_[axis][receiver] = box.high[axis];
     }
     hull_.include(box);
 }
@@ -290,7 +290,8 @@ Box Walk::boxOf(int receiver, int row, int lane) const {
     Box box;
     for (int axis = 0; axis < 3; ++axis) {
         const float way = ways[axis];
-        const float margin = (std::abs(start[axis]) + std::abs(way)) * kMargin;
+        const float reach = std::abs(way) * end_[row][lane];
+        const float margin = (std::abs(start[axis]) + reach) * kMargin;
         const float from = start[axis] + rays_.begin[row][lane] * way;
         const float to = start[axis] + end_[row][lane] * way;
         box.low[axis] = std::min(from, to) - margin;

@@ -119,17 +119,8 @@ class Traversal {
     // -----------------------------------------------------------
 
     void findHull() {
-        for (int i = 0; i < kMostReceivers; ++i) {
-            dwLow_[i] = wBegin_[i] = HUGE_VALF;
-            dwHigh_[i] = -HUGE_VALF;
-        }
-        ends_ = {HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF};
-        for (int group = 0; group < bundle_.groups; ++group)
-            boundGroup(group);
-        for (int group = bundle_.groups; group < (bundle_.groups + 15) / 16 * 16; ++group)
-            setEnds(group, {HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF});
-        hull_ = {HUGE_VALF,  -HUGE_VALF, HUGE_VALF,  -HUGE_VALF, HUGE_VALF,
-                 -HUGE_VALF, HUGE_VALF,  -HUGE_VALF, HUGE_VALF};
+        hull_ = {HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF,
+                 HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF, HUGE_VALF};
         for (std::uint32_t rest = lanes_; rest; rest &= rest - 1) {
             const int i = std::countr_zero(rest);
             const auto include = [](float& low, float& high, float a, float b) {
@@ -138,60 +129,14 @@ class Traversal {
             include(hull_.uLow, hull_.uHigh, bundle_.u[i], bundle_.u[i]);
             include(hull_.vLow, hull_.vHigh, bundle_.v[i], bundle_.v[i]);
             include(hull_.wLow, hull_.wHigh, bundle_.w[i], bundle_.w[i]);
-            include(hull_.dwLow, hull_.dwHigh, dwLow_[i], dwHigh_[i]);
-            // A ray that leads away from the eye goes down.
-            wBegin_[i] = std::max(wBegin_[i], 0.0f);
-            hull_.wBegin = std::min(hull_.wBegin, wBegin_[i]);
+            include(hull_.slopeLowU, hull_.slopeHighU, bundle_.slopeLowU[i],
+                    bundle_.slopeHighU[i]);
+            include(hull_.slopeLowV, hull_.slopeHighV, bundle_.slopeLowV[i],
+                    bundle_.slopeHighV[i]);
+            hull_.wFirst = std::min(hull_.wFirst, bundle_.w[i] + bundle_.rise[i]);
         }
+        anyWide_ = (bundle_.wide & lanes_) != 0;
     }
-
-    struct Ends {
-        float lowU, highU, lowV, highV;
-    };
-    void setEnds(int group, const Ends& e) {
-        endLowU_[group] = e.lowU, endHighU_[group] = e.highU;
-        endLowV_[group] = e.lowV, endHighV_[group] = e.highV;
-    }
-
-    /// Where the group's rays end, and what the receivers' rays rise by.
-    void boundGroup(int group) {
-        const Vec never = hn::Set(kF, HUGE_VALF);
-        Vec lowU = never, lowV = never, highU = hn::Neg(never), highV = highU;
-        for (std::uint32_t rest = lanes_; rest; rest &= rest - 1) {
-            const int receiver = std::countr_zero(rest);
-            const int row = bundle_.row(receiver, group);
-            Vec least = never, most = hn::Neg(never), first = never;
-            for (int i = 0; i < kLanes; i += kN) {
-                const auto open = maskOf(bundle_.open[row], i);
-                const auto smaller = [&](Vec a, Vec b) {
-                    return hn::Min(a, hn::IfThenElse(open, b, a));
-                };
-                const auto larger = [&](Vec a, Vec b) {
-                    return hn::Max(a, hn::IfThenElse(open, b, a));
-                };
-                const Vec u = hn::Add(hn::Set(kF, bundle_.u[receiver]),
-                                      hn::Load(kF, bundle_.du[row] + i));
-                const Vec v = hn::Add(hn::Set(kF, bundle_.v[receiver]),
-                                      hn::Load(kF, bundle_.dv[row] + i));
-                const Vec dw = hn::Load(kF, bundle_.dw[row] + i);
-                lowU = smaller(lowU, u), highU = larger(highU, u);
-                lowV = smaller(lowV, v), highV = larger(highV, v);
-                least = smaller(least, dw), most = larger(most, dw);
-                first = smaller(first, hn::Mul(dw, hn::Load(kF, bundle_.begin[row] + i)));
-            }
-            dwLow_[receiver] = std::min(dwLow_[receiver], smallest(least));
-            dwHigh_[receiver] = std::max(dwHigh_[receiver], largest(most));
-            wBegin_[receiver] = std::min(wBegin_[receiver], smallest(first));
-        }
-        const Ends ends{smallest(lowU), largest(highU), smallest(lowV), largest(highV)};
-        setEnds(group, ends);
-        ends_.lowU = std::min(ends_.lowU, ends.lowU);
-        ends_.highU = std::max(ends_.highU, ends.highU);
-        ends_.lowV = std::min(ends_.lowV, ends.lowV);
-        ends_.highV = std::max(ends_.highV, ends.highV);
-    }
-    static float smallest(Vec v) { return hn::GetLane(hn::MinOfLanes(kF, v)); }
-    static float largest(Vec v) { return hn::GetLane(hn::MaxOfLanes(kF, v)); }
 
     void findLevels() {
         for (int level = 0; level < kMostLevels; ++level) {
@@ -209,10 +154,12 @@ class Traversal {
     /// were many, of a coarser one.
     void enter() {
         const std::vector<PatchTree::Level>& levels = tree_.levels();
-        const float u0 = std::min(hull_.uLow, ends_.lowU);
-        const float u1 = std::max(hull_.uHigh, ends_.highU);
-        const float v0 = std::min(hull_.vLow, ends_.lowV);
-        const float v1 = std::max(hull_.vHigh, ends_.highV);
+        const float most = std::max(0.0f, tree_.highest() - hull_.wLow);
+        float u0 = hull_.uLow + std::min(0.0f, hull_.slopeLowU * most);
+        float u1 = hull_.uHigh + std::max(0.0f, hull_.slopeHighU * most);
+        float v0 = hull_.vLow + std::min(0.0f, hull_.slopeLowV * most);
+        float v1 = hull_.vHigh + std::max(0.0f, hull_.slopeHighV * most);
+        if (anyWide_) u0 = v0 = -HUGE_VALF, u1 = v1 = HUGE_VALF;
         std::size_t level = std::min(std::size_t(std::max(top_, 1)), levels.size() - 1);
         while (level + 1 < levels.size() &&
                std::max(u1 - u0, v1 - v0) > 2.0f * float(levels[level].side))
@@ -255,122 +202,97 @@ class Traversal {
             reached |= meet(fields, i) << i;
         for (met &= reached; met; met &= met - 1) {
             const int i = std::countr_zero(met);
-            visit(*groups[i / 4], i % 4, i, lanes[i / 4] & lanes_);
+            visit(*groups[i / 4], i % 4, lanes[i / 4] & lanes_);
             if (lanes_ == 0) return;
         }
     }
 
     static constexpr int field(int i) { return 4 * i; }  // of PatchGroup, in its order
 
-    /// For which s a ray that comes nearer to the eye by dw is between two depths that
-    /// are `low` and `high` above its start: 1 / s from near to far.
-    struct Reach {
-        Vec near, far;
-        hn::Mask<Floats> any;
-    };
-    static Reach reachOf(Vec low, Vec high, Vec begin, Vec dwLow, Vec dwHigh) {
-        const Vec one = hn::Set(kF, 1.0f), zero = hn::Zero(kF);
-        const Vec least = hn::Mul(dwHigh, hn::Set(kF, kLeastS));
-        Reach r;
-        r.near = hn::Mul(dwHigh, reciprocal(hn::Max(hn::Max(low, begin), least)));
-        r.far = hn::Max(one, hn::Mul(dwLow, reciprocal(hn::Max(high, least))));
-        // Some ray is level or leads away from the eye: nothing is known.
-        const auto unknown = hn::Not(hn::Gt(dwLow, zero));
-        r.near = hn::IfThenElse(unknown, hn::Set(kF, 1.0f / kLeastS), r.near);
-        r.far = hn::IfThenElse(unknown, one, r.far);
-        r.any = hn::And(hn::Or(hn::Ge(high, begin), unknown),
-                        hn::Ge(hn::Mul(r.near, hn::Set(kF, 1.0f + 0x1p-20f)), r.far));
-        return r;
+    /// Do rays that start between two places, and go sideways between two slopes, cross
+    /// what lies between two sides while they rise by `least` to `most`?
+    static hn::Mask<Floats> crosses(Vec side0, Vec side1, Vec startLow, Vec startHigh,
+                                    Vec slopeLow, Vec slopeHigh, Vec least, Vec most) {
+        const Vec low = hn::Min(hn::Mul(slopeLow, least), hn::Mul(slopeLow, most));
+        const Vec high = hn::Max(hn::Mul(slopeHigh, least), hn::Mul(slopeHigh, most));
+        return hn::And(hn::Le(hn::Add(startLow, low), side1),
+                       hn::Ge(hn::Add(startHigh, high), side0));
     }
 
-    /// Where, seen from starts between low and high, something between two sides lies at
-    /// the rays' ends.
-    struct Shadow {
-        Vec low, high;
-    };
-    static Shadow shadowOf(Vec side0, Vec side1, Vec startLow, Vec startHigh,
-                           const Reach& r) {
-        const Vec a = hn::Sub(side0, startHigh), b = hn::Sub(side1, startLow);
-        return {hn::Add(startHigh, hn::Min(hn::Mul(a, r.near), hn::Mul(a, r.far))),
-                hn::Add(startLow, hn::Max(hn::Mul(b, r.near), hn::Mul(b, r.far)))};
-    }
-
-    /// Which patches, of a vector from number `first` on, any ray can meet; keeps their
-    /// shadows.
-    std::uint32_t meet(const float* const* groups, int first) {
+    /// Which patches, of a vector from number `first` on, any ray can meet.
+    std::uint32_t meet(const float* const* groups, int first) const {
         const auto load = [&](int number) {
             return loadField(kF, groups, field(number), first / kN);
         };
-        const Vec high = load(0), low = load(1);
-        const Vec u = load(6), v = load(7), halfU = load(8), halfV = load(9);
-        const Reach r =
-            reachOf(hn::Sub(low, hn::Set(kF, hull_.wHigh)),
-                    hn::Sub(high, hn::Set(kF, hull_.wLow)), hn::Set(kF, hull_.wBegin),
-                    hn::Set(kF, hull_.dwLow), hn::Set(kF, hull_.dwHigh));
-        const Shadow inU = shadowOf(hn::Sub(u, halfU), hn::Add(u, halfU),
-                                    hn::Set(kF, hull_.uLow), hn::Set(kF, hull_.uHigh), r);
-        const Shadow inV = shadowOf(hn::Sub(v, halfV), hn::Add(v, halfV),
-                                    hn::Set(kF, hull_.vLow), hn::Set(kF, hull_.vHigh), r);
-        hn::Store(inU.low, kF, shadowLowU_ + first);
-        hn::Store(inU.high, kF, shadowHighU_ + first);
-        hn::Store(inV.low, kF, shadowLowV_ + first);
-        hn::Store(inV.high, kF, shadowHighV_ + first);
+        const Vec high = load(0);
         const auto exists = hn::Gt(high, hn::Set(kF, -HUGE_VALF));
-        return bitsOf(hn::And(hn::And(r.any, exists), onEnds(inU, inV)));
+        if (anyWide_) return bitsOf(exists);
+        const Vec low = load(1), u = load(6), v = load(7), halfU = load(8),
+                  halfV = load(9);
+        const auto set = [](float x) { return hn::Set(kF, x); };
+        const Vec least = hn::Max(
+            hn::Zero(kF), hn::Sub(hn::Max(low, set(hull_.wFirst)), set(hull_.wHigh)));
+        const Vec most = hn::Sub(high, set(hull_.wLow));
+        auto met = hn::And(exists, hn::Ge(high, set(hull_.wFirst)));
+        met = hn::And(met, crosses(hn::Sub(u, halfU), hn::Add(u, halfU), set(hull_.uLow),
+                                   set(hull_.uHigh), set(hull_.slopeLowU),
+                                   set(hull_.slopeHighU), least, most));
+        met = hn::And(met, crosses(hn::Sub(v, halfV), hn::Add(v, halfV), set(hull_.vLow),
+                                   set(hull_.vHigh), set(hull_.slopeLowV),
+                                   set(hull_.slopeHighV), least, most));
+        return bitsOf(met);
     }
 
-    /// Which shadows lie on the rays' ends.
-    [[nodiscard]] hn::Mask<Floats> onEnds(const Shadow& inU, const Shadow& inV) const {
-        const auto low = hn::And(hn::Le(inU.low, hn::Set(kF, ends_.highU)),
-                                 hn::Le(inV.low, hn::Set(kF, ends_.highV)));
-        const auto high = hn::And(hn::Ge(inU.high, hn::Set(kF, ends_.lowU)),
-                                  hn::Ge(inV.high, hn::Set(kF, ends_.lowV)));
-        return hn::And(low, high);
-    }
-
-    /// Groups of rays that may meet the patch whose shadow is number i.
-    [[nodiscard]] std::uint64_t groupsMet(int i) const {
-        if (bundle_.groups == 1) return 1;
-        const Vec lowU = hn::Set(kF, shadowLowU_[i]);
-        const Vec highU = hn::Set(kF, shadowHighU_[i]);
-        const Vec lowV = hn::Set(kF, shadowLowV_[i]);
-        const Vec highV = hn::Set(kF, shadowHighV_[i]);
+    /// Groups of rays that may meet the patch.
+    [[nodiscard]] std::uint64_t groupsMet(const PatchGroup& g, int i) const {
+        const std::uint64_t all = ~std::uint64_t(0) >> (64 - bundle_.groups);
+        if (bundle_.groups == 1 || anyWide_) return all;
+        const auto set = [](float x) { return hn::Set(kF, x); };
+        const Vec least =
+            set(std::max(0.0f, std::max(g.low[i], hull_.wFirst) - hull_.wHigh));
+        const Vec most = set(g.high[i] - hull_.wLow);
         std::uint64_t groups = 0;
         for (int k = 0; k < bundle_.groups; k += kN) {
-            const auto inU = hn::And(hn::Ge(hn::Load(kF, endHighU_ + k), lowU),
-                                     hn::Le(hn::Load(kF, endLowU_ + k), highU));
-            const auto inV = hn::And(hn::Ge(hn::Load(kF, endHighV_ + k), lowV),
-                                     hn::Le(hn::Load(kF, endLowV_ + k), highV));
+            const auto inU = crosses(set(g.u[i] - g.halfU[i]), set(g.u[i] + g.halfU[i]),
+                                     set(hull_.uLow), set(hull_.uHigh),
+                                     hn::Load(kF, bundle_.groupLowU + k),
+                                     hn::Load(kF, bundle_.groupHighU + k), least, most);
+            const auto inV = crosses(set(g.v[i] - g.halfV[i]), set(g.v[i] + g.halfV[i]),
+                                     set(hull_.vLow), set(hull_.vHigh),
+                                     hn::Load(kF, bundle_.groupLowV + k),
+                                     hn::Load(kF, bundle_.groupHighV + k), least, most);
             groups |= std::uint64_t(bitsOf(hn::And(inU, inV))) << k;
         }
-        return groups;
+        return groups & all;
     }
 
     /// Receivers some of whose rays may meet the patch.
     [[nodiscard]] std::uint32_t lanesMet(const PatchGroup& g, int i) const {
-        std::uint32_t lanes = 0;
+        std::uint32_t lanes = bundle_.wide;
+        const auto set = [](float x) { return hn::Set(kF, x); };
         for (int k = 0; k < kLanes; k += kN) {
-            const Vec u = hn::Load(kF, bundle_.u + k), v = hn::Load(kF, bundle_.v + k);
-            const Vec w = hn::Load(kF, bundle_.w + k);
-            const Reach r =
-                reachOf(hn::Sub(hn::Set(kF, g.low[i]), w),
-                        hn::Sub(hn::Set(kF, g.high[i]), w), hn::Load(kF, wBegin_ + k),
-                        hn::Load(kF, dwLow_ + k), hn::Load(kF, dwHigh_ + k));
-            const Shadow inU = shadowOf(hn::Set(kF, g.u[i] - g.halfU[i]),
-                                        hn::Set(kF, g.u[i] + g.halfU[i]), u, u, r);
-            const Shadow inV = shadowOf(hn::Set(kF, g.v[i] - g.halfV[i]),
-                                        hn::Set(kF, g.v[i] + g.halfV[i]), v, v, r);
-            const auto met = hn::And(r.any, onEnds(inU, inV));
+            const auto load = [k](const float* p) { return hn::Load(kF, p + k); };
+            const Vec u = load(bundle_.u), v = load(bundle_.v), w = load(bundle_.w);
+            const Vec rise = load(bundle_.rise);
+            const Vec least = hn::Max(hn::Sub(set(g.low[i]), w), rise);
+            const Vec most = hn::Sub(set(g.high[i]), w);
+            auto met = hn::Ge(most, rise);
+            met = hn::And(met, crosses(set(g.u[i] - g.halfU[i]), set(g.u[i] + g.halfU[i]),
+                                       u, u, load(bundle_.slopeLowU),
+                                       load(bundle_.slopeHighU), least, most));
+            met = hn::And(met, crosses(set(g.v[i] - g.halfV[i]), set(g.v[i] + g.halfV[i]),
+                                       v, v, load(bundle_.slopeLowV),
+                                       load(bundle_.slopeHighV), least, most));
             lanes |= bitsOf(met) << k;
         }
         return lanes;
     }
 
-    void visit(const PatchGroup& g, int i, int shadow, std::uint32_t lanes) {
+    void visit(const PatchGroup& g, int i, std::uint32_t lanes) {
         if (lanes && bundle_.hasPlanes) lanes &= lanesBelow(g, i);
         if (lanes) lanes &= lanesMet(g, i);
         if (lanes == 0) return;
-        const std::uint64_t groups = groupsMet(shadow);
+        const std::uint64_t groups = groupsMet(g, i);
         if (groups == 0) return;
         std::uint32_t answered = lanes;
         if (g.childGroups[i] > 0) {
@@ -413,8 +335,13 @@ class Traversal {
         for (int k = 0; k < kLanes; k += kN) {
             const Vec away = hn::Sub(hn::Set(kF, g.low[i]), hn::Load(kF, bundle_.w + k));
             const Vec dense = hn::Mul(hn::Load(kF, bundle_.spread + k), away);
-            const Vec aside =
-                hn::Mul(hn::Load(kF, bundle_.slant + k), hn::Set(kF, g.residual[i]));
+            const auto steepest = [k](const float* low, const float* high) {
+                return hn::Max(hn::Abs(hn::Load(kF, low + k)),
+                               hn::Abs(hn::Load(kF, high + k)));
+            };
+            const Vec slant = hn::Max(steepest(bundle_.slopeLowU, bundle_.slopeHighU),
+                                      steepest(bundle_.slopeLowV, bundle_.slopeHighV));
+            const Vec aside = hn::Mul(slant, hn::Set(kF, g.residual[i]));
             const Vec coarse = hn::Max(aside, hn::Set(kF, g.texel[i]));
             lanes |= bitsOf(hn::Le(coarse, dense)) << k;
         }
@@ -570,8 +497,6 @@ class Traversal {
     }
 
     static constexpr int kMostLevels = 24;
-    /// Nearer to its start than this nothing is told from the start.
-    static constexpr float kLeastS = 0x1p-20f;
 
     static constexpr std::uint32_t kAll = (1u << kN) - 1;
 
@@ -581,16 +506,11 @@ class Traversal {
     std::uint16_t mayAnswer_[kMostLevels];
     int top_ = 0;
     struct Hull {
-        float uLow, uHigh, vLow, vHigh, wLow, wHigh, dwLow, dwHigh, wBegin;
+        float uLow, uHigh, vLow, vHigh, wLow, wHigh;
+        float slopeLowU, slopeHighU, slopeLowV, slopeHighV;
+        float wFirst;  // below this nothing counts
     } hull_;
-    Ends ends_;  // of all rays
-    // Of each receiver's rays: what they rise by, and from which height on they count.
-    alignas(64) float dwLow_[kLanes], dwHigh_[kLanes], wBegin_[kLanes];
-    // Of each group's rays.
-    alignas(64) float endLowU_[kMostRows], endHighU_[kMostRows];
-    alignas(64) float endLowV_[kMostRows], endHighV_[kMostRows];
-    alignas(64) float shadowLowU_[16], shadowHighU_[16], shadowLowV_[16],
-        shadowHighV_[16];
+    bool anyWide_ = false;
     Queue queue_;
 };
 
