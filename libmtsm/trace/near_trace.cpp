@@ -64,6 +64,10 @@ Vec3 add(const Vec3& a, const Vec3& b) {
     return {hn::Add(a.x, b.x), hn::Add(a.y, b.y), hn::Add(a.z, b.z)};
 }
 
+Vec3 subtract(const Vec3& a, const Vec3& b) {
+    return {hn::Sub(a.x, b.x), hn::Sub(a.y, b.y), hn::Sub(a.z, b.z)};
+}
+
 Vec dot(const Vec3& a, const Vec3& b) {
     return hn::Add(hn::Add(hn::Mul(a.x, b.x), hn::Mul(a.y, b.y)), hn::Mul(a.z, b.z));
 }
@@ -105,6 +109,11 @@ struct Box {
         }
         return true;
     }
+};
+
+/// From a ray's start to a triangle's plane, times the normal's length.
+struct Distances {
+    float low, high;
 };
 
 /// The corners of a chunk's triangles, and their boxes.
@@ -156,6 +165,7 @@ class Walk {
         const float(*const deltas[3])[kLanes] = {rays_.du, rays_.dv, rays_.dw};
         for (int axis = 0; axis < 3; ++axis)
             boundRays(axis, starts[axis], deltas[axis]);
+        boundTimes();
     }
 
     void run() {
@@ -164,6 +174,8 @@ class Walk {
 
   private:
     void boundRays(int axis, const float* start, const float (*delta)[kLanes]);
+    void boundTimes();
+    [[nodiscard]] Distances distancesMet(const float (&normal)[3]) const;
     [[nodiscard]] Box pieceOf(int b, int lane, int piece) const;
     [[nodiscard]] std::uint32_t inHull(const float (&low)[3][kTriangles],
                                        const float (&high)[3][kTriangles]) const;
@@ -179,6 +191,8 @@ class Walk {
     std::uint16_t left_[kMostBlocks];  ///< asked for and open
     std::uint64_t blocksLeft_ = 0;     ///< with a ray that is
     Box hull_[kPieces];
+    Box way_;                           ///< around all rays' deltas
+    float first_ = 0.0f, last_ = 0.0f;  ///< least begin and greatest end of all
     /// Of each block's rays, all pieces; of blocks without a ray empty.
     alignas(64) float low_[3][kMostBlocks], high_[3][kMostBlocks];
 };
@@ -193,6 +207,7 @@ void Walk::boundRays(int axis, const float* start, const float (*delta)[kLanes])
         std::fill_n(lowest[piece], kLanes, kInfinity);
         std::fill_n(highest[piece], kLanes, -kInfinity);
     }
+    Vec least = none, most = hn::Neg(none);
     for (int b = 0; b < (rays_.blocks + kLanes - 1) / kLanes * kLanes; ++b) {
         low_[axis][b] = kInfinity;
         high_[axis][b] = -kInfinity;
@@ -207,6 +222,8 @@ void Walk::boundRays(int axis, const float* start, const float (*delta)[kLanes])
             const Vec origin = hn::Load(d, start + i), way = hn::Load(d, delta[b] + i);
             const Vec margin =
                 hn::Mul(hn::Add(hn::Abs(origin), hn::Abs(way)), hn::Set(d, kMargin));
+            least = hn::Min(least, hn::IfThenElse(asked, way, none));
+            most = hn::Max(most, hn::IfThenElse(asked, way, hn::Neg(none)));
             Vec from = hn::Add(origin, hn::Mul(begin, way));
             for (int piece = 0; piece < kPieces; ++piece) {
                 const Vec share = hn::Set(d, float(piece + 1) / float(kPieces));
@@ -228,11 +245,31 @@ void Walk::boundRays(int axis, const float* start, const float (*delta)[kLanes])
         low_[axis][b] = hn::GetLane(hn::MinOfLanes(d, lowOfBlock));
         high_[axis][b] = hn::GetLane(hn::MaxOfLanes(d, highOfBlock));
     }
+    way_.low[axis] = hn::GetLane(hn::MinOfLanes(d, least));
+    way_.high[axis] = hn::GetLane(hn::MaxOfLanes(d, most));
     for (int piece = 0; piece < kPieces; ++piece) {
         hull_[piece].low[axis] = *std::min_element(lowest[piece], lowest[piece] + kLanes);
         hull_[piece].high[axis] =
             *std::max_element(highest[piece], highest[piece] + kLanes);
     }
+}
+
+void Walk::boundTimes() {
+    const Floats d;
+    const Vec none = hn::Set(d, kInfinity);
+    Vec first = none, last = hn::Neg(none);
+    for (std::uint64_t next = blocksLeft_; next; next &= next - 1) {
+        const int b = std::countr_zero(next);
+        for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
+            const Mask asked = maskOf(d, std::uint32_t(left_[b]) >> i);
+            first = hn::Min(first,
+                            hn::IfThenElse(asked, hn::Load(d, rays_.begin[b] + i), none));
+            last = hn::Max(
+                last, hn::IfThenElse(asked, hn::Load(d, end_[b] + i), hn::Neg(none)));
+        }
+    }
+    first_ = hn::GetLane(hn::MinOfLanes(d, first));
+    last_ = hn::GetLane(hn::MaxOfLanes(d, last));
 }
 
 Box Walk::pieceOf(int b, int lane, int piece) const {
@@ -318,13 +355,26 @@ std::uint64_t Walk::blocksNear(const Box& box) const {
     return blocks;
 }
 
+/// Distances at which some ray may meet a plane with this normal, all others being met
+/// before the rays begin or after they end. Wider than any rounding.
+Distances Walk::distancesMet(const float (&normal)[3]) const {
+    float slowest = 0.0f, fastest = 0.0f, terms = 0.0f;
+    for (int axis = 0; axis < 3; ++axis) {
+        const float a = normal[axis] * way_.low[axis], b = normal[axis] * way_.high[axis];
+        slowest += std::min(a, b);
+        fastest += std::max(a, b);
+        terms += std::max(std::abs(a), std::abs(b));
+    }
+    slowest -= terms * kRounding;
+    fastest += terms * kRounding;
+    const auto [low, high] = std::minmax(
+        {first_ * slowest, first_ * fastest, last_ * slowest, last_ * fastest});
+    return {low, high};
+}
+
 /// Closes the rays that cross a triangle.
 void Walk::triangle(const Triangles& triangles, int t) {
     const Floats d;
-    const Box box = triangles.box(t);
-    const std::uint64_t blocks = blocksLeft_ & blocksNear(box);
-    if (blocks == 0) return;
-
     float corner[3][3], edge[3][3];
     for (int c = 0; c < 3; ++c) {
         for (int axis = 0; axis < 3; ++axis)
@@ -334,33 +384,38 @@ void Walk::triangle(const Triangles& triangles, int t) {
         for (int axis = 0; axis < 3; ++axis)
             edge[c][axis] = corner[(c + 1) % 3][axis] - corner[c][axis];
     }
-    float longest[3];
-    for (int axis = 0; axis < 3; ++axis)
-        longest[axis] = box.high[axis] - box.low[axis];
     const float normal[3] = {edge[0][1] * edge[1][2] - edge[0][2] * edge[1][1],
                              edge[0][2] * edge[1][0] - edge[0][0] * edge[1][2],
                              edge[0][0] * edge[1][1] - edge[0][1] * edge[1][0]};
+    const Vec3 n = broadcast(d, normal);
+    const Distances met = distancesMet(normal);
+    const Box box = triangles.box(t);
+    std::uint64_t blocks = 0;
     for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
-        // Seen from the rays' start: the corners, the planes through the edges, and how
-        // far it is to the triangle's plane.
+        // The corners, seen from where the rays start.
         const Vec3 start = {hn::Load(d, rays_.u + i), hn::Load(d, rays_.v + i),
                             hn::Load(d, rays_.w + i)};
-        Vec3 to[3], side[3];
-        for (int c = 0; c < 3; ++c)
-            to[c] = {hn::Sub(hn::Set(d, corner[c][0]), start.x),
-                     hn::Sub(hn::Set(d, corner[c][1]), start.y),
-                     hn::Sub(hn::Set(d, corner[c][2]), start.z)};
+        const Vec3 first = subtract(broadcast(d, corner[0]), start);
+        const Vec distance = dot(n, first);
+        if (hn::AllFalse(d, hn::And(hn::Ge(distance, hn::Set(d, met.low)),
+                                    hn::Le(distance, hn::Set(d, met.high)))))
+            continue;
+        if (blocks == 0) blocks = blocksLeft_ & blocksNear(box);
+        if (blocks == 0) return;
+        const Vec3 to[3] = {first, subtract(broadcast(d, corner[1]), start),
+                            subtract(broadcast(d, corner[2]), start)};
         // An edge from A to B spans (A + B) x (B - A) with the start: twice A x B, but
         // without its cancellation.
-        Vec3 furthest = {hn::Zero(d), hn::Zero(d), hn::Zero(d)};
+        Vec3 side[3], furthest = {hn::Zero(d), hn::Zero(d), hn::Zero(d)};
         for (int c = 0; c < 3; ++c) {
             const Vec3 middle = add(to[c], to[(c + 1) % 3]);
             side[c] = cross(middle, broadcast(d, edge[c]));
             furthest = max(furthest, abs(middle));
         }
+        float longest[3];
+        for (int axis = 0; axis < 3; ++axis)
+            longest[axis] = box.high[axis] - box.low[axis];
         const Vec3 terms = crossTerms(furthest, broadcast(d, longest));
-        const Vec3 n = broadcast(d, normal);
-        const Vec distance = dot(n, to[0]);
         for (std::uint64_t next = blocks; next; next &= next - 1) {
             const int b = std::countr_zero(next);
             const std::uint32_t wanted = std::uint32_t(left_[b]) >> i;
@@ -368,21 +423,21 @@ void Walk::triangle(const Triangles& triangles, int t) {
             const Vec3 delta = {hn::Load(d, rays_.du[b] + i),
                                 hn::Load(d, rays_.dv[b] + i),
                                 hn::Load(d, rays_.dw[b] + i)};
+            // The plane is met at s = distance / speed.
+            const Vec speed = dot(delta, n);
+            const Vec towards = hn::Xor(distance, hn::And(speed, hn::Set(d, -0.0f)));
+            const Vec rate = hn::Abs(speed);
+            const Mask inTime =
+                hn::And(hn::Gt(towards, hn::Mul(rate, hn::Load(d, rays_.begin[b] + i))),
+                        hn::Le(towards, hn::Mul(rate, hn::Load(d, end_[b] + i))));
+            if (hn::AllFalse(d, inTime)) continue;
             const Vec e0 = dot(delta, side[0]), e1 = dot(delta, side[1]),
                       e2 = dot(delta, side[2]);
             const Vec zero = hn::Mul(dot(abs(delta), terms), hn::Set(d, kRounding));
             const Mask through =
                 hn::Or(hn::Ge(hn::Min(hn::Min(e0, e1), e2), hn::Neg(zero)),
                        hn::Le(hn::Max(hn::Max(e0, e1), e2), zero));
-            // It is met at s = distance / speed.
-            const Vec speed = dot(delta, n);
-            const Vec towards = hn::Xor(distance, hn::And(speed, hn::Set(d, -0.0f)));
-            const Vec rate = hn::Abs(speed);
-            const Mask behind =
-                hn::Gt(towards, hn::Mul(rate, hn::Load(d, rays_.begin[b] + i)));
-            const Mask before = hn::Le(towards, hn::Mul(rate, hn::Load(d, end_[b] + i)));
-            const std::uint32_t hits =
-                wanted & bitsOf(d, hn::And(through, hn::And(behind, before)));
+            const std::uint32_t hits = wanted & bitsOf(d, hn::And(through, inTime));
             if (hits) close(b, hits << i, box);
         }
     }
