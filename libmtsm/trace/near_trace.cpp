@@ -2,13 +2,13 @@
 // the chunks that are left the 16 triangles' boxes are compared with it side by side; and
 // each triangle that is left is tested against 16 rays at once, block by block.
 //
-// The hull is the box around all rays' first pieces, that around their second ones, and
-// so on: one box around slanted rays would hold far too much. What a ray meets must not
-// depend on the hull, that is, on the rays beside it. So a ray that is found to cross a
-// triangle is closed only if one of its own pieces' boxes overlaps the triangle's: the
-// hull contains them all, and passes nothing over that any of its rays could meet. Where
-// rounding decides, it decides for the ray alone. Boxes are a little larger than the
-// rays' pieces, so that no true crossing is lost.
+// The hull is a box around all rays from s = 1/4 on, one around them from 1/16 to 1/4,
+// and so on: one box around slanted or widening rays would hold far too much. What a ray
+// meets must not depend on the hull, that is, on the rays beside it. So a ray that is
+// found to cross a triangle is closed only if the box around one of its own pieces
+// overlaps the triangle's: the hull contains all these boxes, and passes nothing over
+// that any of its rays could meet. Where rounding decides, it decides for the ray alone.
+// Boxes are a little larger than the pieces, so that no true crossing is lost.
 //
 // Fused multiply-adds are not used, for they would make one machine's answer another's
 // rounding.
@@ -36,7 +36,10 @@ using Floats = hn::CappedTag<float, kLanes>;
 using Vec = hn::Vec<Floats>;
 using Mask = hn::Mask<Floats>;
 
-constexpr int kPieces = 4;
+/// Rays are cut at s = 1/4, 1/16, ... into so many pieces.
+constexpr int kPieces = 8;
+/// Triangles that are tested against all blocks before boxes around these are worth it.
+constexpr int kFewTriangles = 4;
 constexpr int kTriangles = NearChunk::kTriangles;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 /// Of a ray's coordinates, added to its boxes; their rounding is an eighth of it.
@@ -44,13 +47,13 @@ constexpr float kMargin = 0x1p-20f;
 /// Of the sum of a volume's terms without their signs; their rounding is half of it.
 constexpr float kRounding = 0x1p-20f;
 
-std::uint32_t bitsOf(Floats d, Mask mask) {
+HWY_INLINE std::uint32_t bitsOf(Floats d, Mask mask) {
     std::uint8_t bytes[8] = {};
     hn::StoreMaskBits(d, mask, bytes);
     return bytes[0] | std::uint32_t(bytes[1]) << 8;
 }
 
-Mask maskOf(Floats d, std::uint32_t bits) {
+HWY_INLINE Mask maskOf(Floats d, std::uint32_t bits) {
     const std::uint8_t bytes[8] = {std::uint8_t(bits), std::uint8_t(bits >> 8)};
     return hn::LoadMaskBits(d, bytes);
 }
@@ -60,26 +63,26 @@ struct Vec3 {
     Vec x, y, z;
 };
 
-Vec3 add(const Vec3& a, const Vec3& b) {
+HWY_INLINE Vec3 add(const Vec3& a, const Vec3& b) {
     return {hn::Add(a.x, b.x), hn::Add(a.y, b.y), hn::Add(a.z, b.z)};
 }
 
-Vec3 subtract(const Vec3& a, const Vec3& b) {
+HWY_INLINE Vec3 subtract(const Vec3& a, const Vec3& b) {
     return {hn::Sub(a.x, b.x), hn::Sub(a.y, b.y), hn::Sub(a.z, b.z)};
 }
 
-Vec dot(const Vec3& a, const Vec3& b) {
+HWY_INLINE Vec dot(const Vec3& a, const Vec3& b) {
     return hn::Add(hn::Add(hn::Mul(a.x, b.x), hn::Mul(a.y, b.y)), hn::Mul(a.z, b.z));
 }
 
-Vec3 cross(const Vec3& a, const Vec3& b) {
+HWY_INLINE Vec3 cross(const Vec3& a, const Vec3& b) {
     return {hn::Sub(hn::Mul(a.y, b.z), hn::Mul(a.z, b.y)),
             hn::Sub(hn::Mul(a.z, b.x), hn::Mul(a.x, b.z)),
             hn::Sub(hn::Mul(a.x, b.y), hn::Mul(a.y, b.x))};
 }
 
 /// What cross(a, b) is summed up from, without signs.
-Vec3 crossTerms(const Vec3& a, const Vec3& b) {
+HWY_INLINE Vec3 crossTerms(const Vec3& a, const Vec3& b) {
     const auto terms = [](Vec p, Vec q, Vec r, Vec s) {
         return hn::Add(hn::Mul(p, q), hn::Mul(r, s));
     };
@@ -87,15 +90,19 @@ Vec3 crossTerms(const Vec3& a, const Vec3& b) {
             terms(a.x, b.y, a.y, b.x)};
 }
 
-Vec3 abs(const Vec3& a) {
+HWY_INLINE Vec3 abs(const Vec3& a) {
     return {hn::Abs(a.x), hn::Abs(a.y), hn::Abs(a.z)};
 }
 
-Vec3 max(const Vec3& a, const Vec3& b) {
+HWY_INLINE Vec3 min(const Vec3& a, const Vec3& b) {
+    return {hn::Min(a.x, b.x), hn::Min(a.y, b.y), hn::Min(a.z, b.z)};
+}
+
+HWY_INLINE Vec3 max(const Vec3& a, const Vec3& b) {
     return {hn::Max(a.x, b.x), hn::Max(a.y, b.y), hn::Max(a.z, b.z)};
 }
 
-Vec3 broadcast(Floats d, const float (&p)[3]) {
+HWY_INLINE Vec3 broadcast(Floats d, const float (&p)[3]) {
     return {hn::Set(d, p[0]), hn::Set(d, p[1]), hn::Set(d, p[2])};
 }
 
@@ -110,6 +117,23 @@ struct Box {
         return true;
     }
 };
+
+Box boxOf(Floats d, const Vec3& low, const Vec3& high) {
+    Box box;
+    const Vec lows[3] = {low.x, low.y, low.z}, highs[3] = {high.x, high.y, high.z};
+    for (int axis = 0; axis < 3; ++axis) {
+        box.low[axis] = hn::GetLane(hn::MinOfLanes(d, lows[axis]));
+        box.high[axis] = hn::GetLane(hn::MaxOfLanes(d, highs[axis]));
+    }
+    return box;
+}
+
+/// Where piece i of every ray starts and piece i - 1 ends; the first starts, and the last
+/// ends, with the ray.
+float pieceBegin(int i) {
+    if (i == 0) return -kInfinity;
+    return i < kPieces ? std::ldexp(1.0f, 2 * (i - kPieces)) : kInfinity;
+}
 
 /// From a ray's start to a triangle's plane, times the normal's length.
 struct Distances {
@@ -161,11 +185,8 @@ class Walk {
             left_[b] = rays_.open[b] & asked[b];
             if (left_[b]) blocksLeft_ |= std::uint64_t(1) << b;
         }
-        const float* const starts[3] = {rays_.u, rays_.v, rays_.w};
-        const float(*const deltas[3])[kLanes] = {rays_.du, rays_.dv, rays_.dw};
-        for (int axis = 0; axis < 3; ++axis)
-            boundRays(axis, starts[axis], deltas[axis]);
-        boundTimes();
+        boundRays();
+        setHull();
     }
 
     void run() {
@@ -173,13 +194,14 @@ class Walk {
     }
 
   private:
-    void boundRays(int axis, const float* start, const float (*delta)[kLanes]);
-    void boundTimes();
+    void boundRays();
+    void setHull();
+    void boundBlocks();
+    [[nodiscard]] std::uint64_t blocksNear(const Box& box);
     [[nodiscard]] Distances distancesMet(const float (&normal)[3]) const;
     [[nodiscard]] Box pieceOf(int b, int lane, int piece) const;
     [[nodiscard]] std::uint32_t inHull(const float (&low)[3][kTriangles],
                                        const float (&high)[3][kTriangles]) const;
-    [[nodiscard]] std::uint64_t blocksNear(const Box& box) const;
     void node(std::size_t level, std::size_t index);
     void chunk(const NearChunk& chunk);
     void triangle(const Triangles& triangles, int t);
@@ -188,104 +210,92 @@ class Walk {
     const NearField& field_;
     RayBundle& rays_;
     const float (*const end_)[kLanes];
-    std::uint16_t left_[kMostBlocks];  ///< asked for and open
-    std::uint64_t blocksLeft_ = 0;     ///< with a ray that is
+    std::uint16_t left_[kMostBlocks];              ///< asked for and open
+    std::uint64_t blocksLeft_ = 0;                 ///< with a ray that is
+    Box start_, way_;                              ///< around all starts and all deltas
+    float first_ = kInfinity, last_ = -kInfinity;  ///< least begin, greatest end
     Box hull_[kPieces];
-    Box way_;                           ///< around all rays' deltas
-    float first_ = 0.0f, last_ = 0.0f;  ///< least begin and greatest end of all
-    /// Of each block's rays, all pieces; of blocks without a ray empty.
+    int pieces_ = 0;     ///< of the hull
+    int triangles_ = 0;  ///< that were tested
+    /// After kFewTriangles: around each block's rays; empty for blocks without one.
     alignas(64) float low_[3][kMostBlocks], high_[3][kMostBlocks];
 };
 
-/// One axis of hull and blocks. pieceOf() is the same for one ray, to the last bit.
-void Walk::boundRays(int axis, const float* start, const float (*delta)[kLanes]) {
-    const Floats d;
-    const Vec none = hn::Set(d, kInfinity);
-    // By piece, over all blocks; lanes are brought together last.
-    alignas(64) float lowest[kPieces][kLanes], highest[kPieces][kLanes];
-    for (int piece = 0; piece < kPieces; ++piece) {
-        std::fill_n(lowest[piece], kLanes, kInfinity);
-        std::fill_n(highest[piece], kLanes, -kInfinity);
-    }
-    Vec least = none, most = hn::Neg(none);
-    for (int b = 0; b < (rays_.blocks + kLanes - 1) / kLanes * kLanes; ++b) {
-        low_[axis][b] = kInfinity;
-        high_[axis][b] = -kInfinity;
-    }
-    for (std::uint64_t next = blocksLeft_; next; next &= next - 1) {
-        const int b = std::countr_zero(next);
-        Vec lowOfBlock = none, highOfBlock = hn::Neg(none);
-        for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
-            const Mask asked = maskOf(d, std::uint32_t(left_[b]) >> i);
-            const Vec begin = hn::Load(d, rays_.begin[b] + i);
-            const Vec length = hn::Sub(hn::Load(d, end_[b] + i), begin);
-            const Vec origin = hn::Load(d, start + i), way = hn::Load(d, delta[b] + i);
-            const Vec margin =
-                hn::Mul(hn::Add(hn::Abs(origin), hn::Abs(way)), hn::Set(d, kMargin));
-            least = hn::Min(least, hn::IfThenElse(asked, way, none));
-            most = hn::Max(most, hn::IfThenElse(asked, way, hn::Neg(none)));
-            Vec from = hn::Add(origin, hn::Mul(begin, way));
-            for (int piece = 0; piece < kPieces; ++piece) {
-                const Vec share = hn::Set(d, float(piece + 1) / float(kPieces));
-                const Vec s = hn::Add(begin, hn::Mul(length, share));
-                const Vec to = hn::Add(origin, hn::Mul(s, way));
-                const Vec low =
-                    hn::IfThenElse(asked, hn::Sub(hn::Min(from, to), margin), none);
-                const Vec high = hn::IfThenElse(asked, hn::Add(hn::Max(from, to), margin),
-                                                hn::Neg(none));
-                hn::Store(hn::Min(hn::Load(d, lowest[piece] + i), low), d,
-                          lowest[piece] + i);
-                hn::Store(hn::Max(hn::Load(d, highest[piece] + i), high), d,
-                          highest[piece] + i);
-                lowOfBlock = hn::Min(lowOfBlock, low);
-                highOfBlock = hn::Max(highOfBlock, high);
-                from = to;
-            }
-        }
-        low_[axis][b] = hn::GetLane(hn::MinOfLanes(d, lowOfBlock));
-        high_[axis][b] = hn::GetLane(hn::MaxOfLanes(d, highOfBlock));
-    }
-    way_.low[axis] = hn::GetLane(hn::MinOfLanes(d, least));
-    way_.high[axis] = hn::GetLane(hn::MaxOfLanes(d, most));
-    for (int piece = 0; piece < kPieces; ++piece) {
-        hull_[piece].low[axis] = *std::min_element(lowest[piece], lowest[piece] + kLanes);
-        hull_[piece].high[axis] =
-            *std::max_element(highest[piece], highest[piece] + kLanes);
-    }
-}
-
-void Walk::boundTimes() {
+void Walk::boundRays() {
     const Floats d;
     const Vec none = hn::Set(d, kInfinity);
     Vec first = none, last = hn::Neg(none);
-    for (std::uint64_t next = blocksLeft_; next; next &= next - 1) {
-        const int b = std::countr_zero(next);
-        for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
-            const Mask asked = maskOf(d, std::uint32_t(left_[b]) >> i);
-            first = hn::Min(first,
-                            hn::IfThenElse(asked, hn::Load(d, rays_.begin[b] + i), none));
-            last = hn::Max(
-                last, hn::IfThenElse(asked, hn::Load(d, end_[b] + i), hn::Neg(none)));
+    Vec3 startLow = {none, none, none}, wayLow = startLow;
+    Vec3 startHigh = {last, last, last}, wayHigh = startHigh;
+    for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
+        std::uint32_t lanes = 0;
+        for (std::uint64_t next = blocksLeft_; next; next &= next - 1) {
+            const int b = std::countr_zero(next);
+            const std::uint32_t bits = std::uint32_t(left_[b]) >> i;
+            lanes |= bits;
+            const Mask asked = maskOf(d, bits);
+            const auto low = [&](Vec v) { return hn::IfThenElse(asked, v, none); };
+            const auto high = [&](Vec v) {
+                return hn::IfThenElse(asked, v, hn::Neg(none));
+            };
+            const Vec du = hn::Load(d, rays_.du[b] + i),
+                      dv = hn::Load(d, rays_.dv[b] + i),
+                      dw = hn::Load(d, rays_.dw[b] + i);
+            wayLow = min(wayLow, {low(du), low(dv), low(dw)});
+            wayHigh = max(wayHigh, {high(du), high(dv), high(dw)});
+            first = hn::Min(first, low(hn::Load(d, rays_.begin[b] + i)));
+            last = hn::Max(last, high(hn::Load(d, end_[b] + i)));
         }
+        const Mask asked = maskOf(d, lanes);
+        const auto low = [&](Vec v) { return hn::IfThenElse(asked, v, none); };
+        const auto high = [&](Vec v) { return hn::IfThenElse(asked, v, hn::Neg(none)); };
+        const Vec u = hn::Load(d, rays_.u + i), v = hn::Load(d, rays_.v + i),
+                  w = hn::Load(d, rays_.w + i);
+        startLow = min(startLow, {low(u), low(v), low(w)});
+        startHigh = max(startHigh, {high(u), high(v), high(w)});
     }
     first_ = hn::GetLane(hn::MinOfLanes(d, first));
     last_ = hn::GetLane(hn::MaxOfLanes(d, last));
+    start_ = boxOf(d, startLow, startHigh);
+    way_ = boxOf(d, wayLow, wayHigh);
 }
 
+/// Where the rays' pieces are at most, piece by piece; pieces that no ray has are left
+/// out. Larger than pieceOf() of any of them.
+void Walk::setHull() {
+    for (int piece = 0; piece < kPieces; ++piece) {
+        const float from = std::max(first_, pieceBegin(piece));
+        const float to = std::min(last_, pieceBegin(piece + 1));
+        if (!(from <= to)) continue;
+        Box& box = hull_[pieces_++];
+        for (int axis = 0; axis < 3; ++axis) {
+            const float low = way_.low[axis], high = way_.high[axis];
+            const float margin =
+                2.0f * kMargin *
+                (std::max(std::abs(start_.low[axis]), std::abs(start_.high[axis])) +
+                 std::max(std::abs(low), std::abs(high)));
+            const auto [back, forth] =
+                std::minmax({from * low, to * low, from * high, to * high});
+            box.low[axis] = start_.low[axis] + back - margin;
+            box.high[axis] = start_.high[axis] + forth + margin;
+        }
+    }
+}
+
+/// Of one ray; empty if it has no such piece.
 Box Walk::pieceOf(int b, int lane, int piece) const {
-    const float begin = rays_.begin[b][lane], length = end_[b][lane] - begin;
+    Box box;
+    const float from = std::max(rays_.begin[b][lane], pieceBegin(piece));
+    const float to = std::min(end_[b][lane], pieceBegin(piece + 1));
+    if (!(from <= to)) return box;
     const float starts[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
     const float deltas[3] = {rays_.du[b][lane], rays_.dv[b][lane], rays_.dw[b][lane]};
-    const auto share = [](int i) { return float(i) / float(kPieces); };
-    const float first = piece == 0 ? begin : begin + length * share(piece);
-    const float last = begin + length * share(piece + 1);
-    Box box;
     for (int axis = 0; axis < 3; ++axis) {
         const float start = starts[axis], delta = deltas[axis];
         const float margin = (std::abs(start) + std::abs(delta)) * kMargin;
-        const float from = start + first * delta, to = start + last * delta;
-        box.low[axis] = std::min(from, to) - margin;
-        box.high[axis] = std::max(from, to) + margin;
+        const float p = start + from * delta, q = start + to * delta;
+        box.low[axis] = std::min(p, q) - margin;
+        box.high[axis] = std::max(p, q) + margin;
     }
     return box;
 }
@@ -302,7 +312,8 @@ std::uint32_t Walk::inHull(const float (&low)[3][kTriangles],
             highs[axis] = hn::LoadU(d, high[axis] + i);
         }
         std::uint32_t bits = 0;
-        for (const Box& piece : hull_) {
+        for (int k = 0; k < pieces_; ++k) {
+            const Box& piece = hull_[k];
             Mask overlap = hn::Le(lows[0], hn::Set(d, piece.high[0]));
             for (int axis = 0; axis < 3; ++axis) {
                 overlap =
@@ -338,8 +349,43 @@ void Walk::chunk(const NearChunk& chunk) {
         triangle(triangles, std::countr_zero(found));
 }
 
-/// Blocks whose box overlaps this one.
-std::uint64_t Walk::blocksNear(const Box& box) const {
+void Walk::boundBlocks() {
+    const Floats d;
+    const Vec none = hn::Set(d, kInfinity);
+    for (int axis = 0; axis < 3; ++axis) {
+        std::fill_n(low_[axis], kMostBlocks, kInfinity);
+        std::fill_n(high_[axis], kMostBlocks, -kInfinity);
+    }
+    const float* const starts[3] = {rays_.u, rays_.v, rays_.w};
+    const float(*const deltas[3])[kLanes] = {rays_.du, rays_.dv, rays_.dw};
+    for (std::uint64_t next = blocksLeft_; next; next &= next - 1) {
+        const int b = std::countr_zero(next);
+        for (int axis = 0; axis < 3; ++axis) {
+            Vec low = none, high = hn::Neg(none);
+            for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
+                const Mask asked = maskOf(d, std::uint32_t(left_[b]) >> i);
+                const Vec start = hn::Load(d, starts[axis] + i);
+                const Vec delta = hn::Load(d, deltas[axis][b] + i);
+                const Vec margin =
+                    hn::Mul(hn::Add(hn::Abs(start), hn::Abs(delta)), hn::Set(d, kMargin));
+                const Vec p =
+                    hn::Add(start, hn::Mul(hn::Load(d, rays_.begin[b] + i), delta));
+                const Vec q = hn::Add(start, hn::Mul(hn::Load(d, end_[b] + i), delta));
+                const Vec least = hn::Sub(hn::Min(p, q), margin);
+                const Vec most = hn::Add(hn::Max(p, q), margin);
+                low = hn::Min(low, hn::IfThenElse(asked, least, none));
+                high = hn::Max(high, hn::IfThenElse(asked, most, hn::Neg(none)));
+            }
+            low_[axis][b] = hn::GetLane(hn::MinOfLanes(d, low));
+            high_[axis][b] = hn::GetLane(hn::MaxOfLanes(d, high));
+        }
+    }
+}
+
+/// Blocks of which some ray may come near the box.
+std::uint64_t Walk::blocksNear(const Box& box) {
+    if (++triangles_ <= kFewTriangles) return blocksLeft_;
+    if (triangles_ == kFewTriangles + 1) boundBlocks();
     const Floats d;
     std::uint64_t blocks = 0;
     for (int b = 0; b < rays_.blocks; b += int(hn::Lanes(d))) {
@@ -352,7 +398,7 @@ std::uint64_t Walk::blocksNear(const Box& box) const {
         }
         blocks |= std::uint64_t(bitsOf(d, overlap)) << b;
     }
-    return blocks;
+    return blocksLeft_ & blocks;
 }
 
 /// Distances at which some ray may meet a plane with this normal, all others being met
@@ -400,7 +446,7 @@ void Walk::triangle(const Triangles& triangles, int t) {
         if (hn::AllFalse(d, hn::And(hn::Ge(distance, hn::Set(d, met.low)),
                                     hn::Le(distance, hn::Set(d, met.high)))))
             continue;
-        if (blocks == 0) blocks = blocksLeft_ & blocksNear(box);
+        if (blocks == 0) blocks = blocksNear(box);
         if (blocks == 0) return;
         const Vec3 to[3] = {first, subtract(broadcast(d, corner[1]), start),
                             subtract(broadcast(d, corner[2]), start)};
