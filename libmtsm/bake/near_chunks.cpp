@@ -11,7 +11,7 @@
 namespace mtsm::bake_detail {
 namespace {
 
-constexpr int kAxisBits = 20;                // of a cell of the Hilbert curve
+constexpr int kAxisBits = 16;                // of a cell of the Hilbert curve
 constexpr double kFinestStep = 1.0 / 256.0;  // pixels, footprints
 constexpr double kFineReach = 255.0;         // of chunks of triangles up to kFineSize
 constexpr double kFineSize = 64.0;

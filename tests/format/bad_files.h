@@ -177,7 +177,7 @@ inline std::vector<BadFile> badFiles() {
             change(s.parts[2].payload);
         });
     };
-    addNear("bad_near_cut", [](Bytes& near) { near.resize(near.size() - 10); });
+    addNear("bad_near_cut", [](Bytes& near) { near.erase(near.end() - 10, near.end()); });
     addNear("bad_near_chunks_absurd", [](Bytes& near) { poke(near, 8, 1ull << 60); });
     addNear("bad_near_points_absurd", [](Bytes& near) { poke(near, 16, 0xffffffffu); });
     addNear("bad_near_corner_of_no_point", [](Bytes& near) { near[48 + 5] = 4; });
