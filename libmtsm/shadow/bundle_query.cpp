@@ -14,7 +14,7 @@ namespace {
 
 /// Points whose raster position is further from the window than this many times its size
 /// are left to the scalar trace.
-constexpr double kFarthestOutside = 8.0;
+constexpr float kFarthestOutside = 8.0f;
 
 /// The near field answers for so many pixel footprints of depth.
 constexpr double kNearDepth = 16.0;
@@ -88,6 +88,9 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
     turn_ = glm::transpose(
         glm::dmat3(projection_.right, projection_.up, projection_.forward));
     const auto turn = [&](glm::dvec3 d) { return turned(d); };
+    const double width = map.info().width, height = map.info().height;
+    perWindow_ = {1.0 / width, 1.0 / height,
+                  1.0 / (projection_.pixelFootprint(1.0) * std::max(width, height))};
     axisX_ = turn(seen.x), axisY_ = turn(seen.y), axisZ_ = turn(seen.z);
     base_ = turn(seen.base);
     capHeight_ = seen.capHeight;
@@ -101,24 +104,25 @@ std::optional<std::uint32_t> BundleQuery::placeOf(glm::dvec3 point) const noexce
     const ZRange range = map_.zRange(0);
     const bool perspective = projection_.kind == ProjectionKind::perspective;
     if (perspective && !(p.z > 0.5 * range.min)) return std::nullopt;
-    const double w = perspective ? 1.0 / p.z : 1.0;
-    const double width = map_.info().width, height = map_.info().height;
-    const double u = projection_.scale.x * p.x * w + projection_.offset.x;
-    const double v = projection_.scale.y * p.y * w + projection_.offset.y;
-    if (!(std::abs(u - 0.5 * width) <= kFarthestOutside * width &&
-          std::abs(v - 0.5 * height) <= kFarthestOutside * height))
-        return std::nullopt;
+    const auto w = perspective ? 1.0f / float(p.z) : 1.0f;
     // In windows away from its middle; depth too.
-    const double window = std::max(width, height);
-    const double away = perspective ? 1.0 - range.max * w : p.z - range.max;
-    const double places[] = {u / window - 0.5, v / window - 0.5,
-                             away / (projection_.pixelFootprint(1.0) * window)};
+    const float places[] = {
+        (float(projection_.scale.x * p.x) * w + float(projection_.offset.x)) *
+                perWindow_.x -
+            0.5f,
+        (float(projection_.scale.y * p.y) * w + float(projection_.offset.y)) *
+                perWindow_.y -
+            0.5f,
+        (perspective ? 1.0f - range.max * w : float(p.z) - range.max) * perWindow_.z};
+    if (!(std::abs(places[0]) <= kFarthestOutside &&
+          std::abs(places[1]) <= kFarthestOutside))
+        return std::nullopt;
     std::uint32_t place = 0;
     for (int i = 0; i < 3; ++i) {
         // Finest in the middle, and nothing is too far away.
-        const double near = places[i] / (1.0 + std::abs(places[i]));
-        place |= spread(std::uint32_t(std::clamp(512.0 + 512.0 * near, 0.0, 1023.0)))
-                 << i;
+        const float near = places[i] / (1.0f + std::abs(places[i]));
+        const float cell = std::clamp(512.0f + 512.0f * near, 0.0f, 1023.0f);
+        place |= spread(std::uint32_t(cell)) << i;
     }
     return place;
 }

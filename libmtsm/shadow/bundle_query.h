@@ -51,7 +51,8 @@ class BundleQuery {
 
     const ShadowMap& map_;
     const Projection& projection_;
-    glm::dmat3 turn_;  // world to light space
+    glm::dmat3 turn_;      // world to light space
+    glm::vec3 perWindow_;  // placeOf: one over the window's sides and its depth
     light::LightSampler light_;
     ShadowOptions options_;
     trace::ZBias bias_;

@@ -70,13 +70,19 @@ struct Pair {
     Vec x, y;
 };
 
+/// 1 / x but for the last bit or two.
+HWY_INLINE Vec reciprocal(Vec x) {
+    const Vec guess = hn::ApproximateReciprocal(x);
+    return hn::Mul(guess, hn::NegMulAdd(x, guess, constant(2.0f)));
+}
+
 /// Light space to straight space.
 HWY_INLINE Vec3 project(const LightRays::View& view, Vec3 p) {
     const Vec su = constant(view.scaleU), sv = constant(view.scaleV);
     const Vec ou = constant(view.offsetU), ov = constant(view.offsetV);
     if (!view.perspective)
         return {hn::MulAdd(p.x, su, ou), hn::MulAdd(p.y, sv, ov), hn::Neg(p.z)};
-    const Vec w = hn::Div(constant(1.0f), p.z);
+    const Vec w = reciprocal(p.z);
     return {hn::MulAdd(hn::Mul(p.x, su), w, ou), hn::MulAdd(hn::Mul(p.y, sv), w, ov), w};
 }
 
@@ -125,7 +131,7 @@ class Starts {
 
     /// Pixels that a ray along d goes per w.
     Pair slope(Vec3 d) const {
-        const Vec perDepth = hn::Div(constant(1.0f), d.z);
+        const Vec perDepth = reciprocal(d.z);
         const Vec x = hn::Mul(d.x, perDepth), y = hn::Mul(d.y, perDepth);
         if (view_.perspective)
             return {hn::Mul(constant(view_.scaleU),
@@ -337,7 +343,7 @@ class Rays {
         // How far along delta: to the end, or to where there is nothing more to meet.
         Vec end = in_.endless ? constant(HUGE_VALF) : one;
         const auto until = [&](Vec inside, Vec change) {  // inside + t change >= 0
-            const Vec t = hn::Div(inside, hn::Neg(change));
+            const Vec t = hn::Neg(hn::Mul(inside, reciprocal(change)));
             end = hn::IfThenElse(hn::Lt(change, zero), hn::Min(end, t), end);
         };
         const Vec z = position_.z;
@@ -364,8 +370,8 @@ class Rays {
             above = hn::Gt(dot(delta, normal_), zero);
             // How fast the ray rises above the tangent plane, in s.
             const Vec rise = dot(plane_, way);
-            const Vec per = hn::IfThenElse(hn::Gt(rise, zero), hn::Div(one, rise),
-                                           constant(HUGE_VALF));
+            const Vec per =
+                hn::IfThenElse(hn::Gt(rise, zero), reciprocal(rise), constant(HUGE_VALF));
             begin = hn::Mul(constant(view_.planeHeight), per);
             nearBegin = hn::Mul(constant(view_.nearHeight), per);
         } else {
@@ -431,7 +437,8 @@ class Rays {
         const Vec depth = hn::MulAdd(constant(view_.nearPerW), hn::Abs(start_.z),
                                      constant(view_.nearConstant));
         const Vec dw = hn::Abs(rise);
-        return hn::IfThenElse(hn::Gt(dw, depth), hn::Div(depth, dw), constant(1.0f));
+        return hn::IfThenElse(hn::Gt(dw, depth), hn::Mul(depth, reciprocal(dw)),
+                              constant(1.0f));
     }
 
     /// LightSample::weight times the cosine at the receiver.

@@ -139,14 +139,14 @@ class Traversal {
     }
 
     void findLevels() {
-        for (int level = 0; level < kMostLevels; ++level) {
-            mayAnswer_[level] = 0;
-            for (std::uint32_t rest = lanes_; rest; rest &= rest - 1) {
-                const int i = std::countr_zero(rest);
-                if (bundle_.topLevel[i] >= level)
-                    mayAnswer_[level] |= std::uint16_t(1u << i);
-            }
-            if (mayAnswer_[level]) top_ = level;
+        std::fill_n(mayAnswer_, kMostLevels, std::uint16_t(0));
+        for (std::uint32_t rest = lanes_; rest; rest &= rest - 1) {
+            const int i = std::countr_zero(rest);
+            mayAnswer_[bundle_.topLevel[i]] |= std::uint16_t(1u << i);
+        }
+        for (int level = kMostLevels - 1; level > 0; --level) {
+            if (mayAnswer_[level] && top_ == 0) top_ = level;
+            mayAnswer_[level - 1] |= mayAnswer_[level];
         }
     }
 
