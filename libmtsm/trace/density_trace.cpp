@@ -1,0 +1,423 @@
+// The kernel of density_trace.h, once for every kind of processor.
+#include "trace/density_trace.h"
+
+#include <algorithm>
+#include <cmath>
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "trace/density_trace.cpp"
+#include "hwy/foreach_target.h"
+#include "hwy/highway.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace mtsm::trace {
+namespace HWY_NAMESPACE {
+
+namespace hn = hwy::HWY_NAMESPACE;
+
+using Floats = hn::CappedTag<float, kLanes>;
+using Ints = hn::RebindToSigned<Floats>;
+
+/// Texels that rays cross, waiting to be answered.
+struct Hits {
+    static constexpr int kRoom = 128;
+    int count = 0;
+    alignas(64) std::int32_t texel[kRoom + kLanes], ray[kRoom + kLanes];
+    alignas(64) float low[kRoom + kLanes], high[kRoom + kLanes];
+};
+
+/// Sixteen rays on their way: one block.
+struct March {
+    alignas(64) float u[kLanes], v[kLanes], w[kLanes];
+    alignas(64) float du[kLanes], dv[kLanes], dw[kLanes];
+    alignas(64) float inverseU[kLanes], inverseV[kLanes];
+    alignas(64) float begin[kLanes], beginSurfaces[kLanes], end[kLanes];
+    alignas(64) float perTexel[kLanes];  // s at which a texel may be one pixel
+    alignas(64) float stretch[kLanes];
+    std::uint32_t open = 0;
+    Hits media, surfaces;
+    /// [channel][ray][a vector's lanes]: sums over the slabs of the level.
+    alignas(64) float sum[3][kLanes][kLanes], surfaceSum[3][kLanes][kLanes];
+};
+
+template <class M>
+std::uint32_t bitsOf(Floats d, M mask) {
+    std::uint8_t bytes[8] = {};
+    hn::StoreMaskBits(d, mask, bytes);
+    return bytes[0] | std::uint32_t(bytes[1]) << 8;
+}
+
+auto maskOf(Floats d, std::uint32_t bits) {
+    const std::uint8_t bytes[8] = {std::uint8_t(bits), std::uint8_t(bits >> 8)};
+    return hn::LoadMaskBits(d, bytes);
+}
+
+/// 1 / x, huge but finite for x = 0.
+template <class V>
+V inverse(Floats d, V x) {
+    const V least = hn::Set(d, 1e-25f);
+    const V size = hn::Max(hn::Abs(x), least);
+    return hn::CopySign(hn::Div(hn::Set(d, 1.0f), size), x);
+}
+
+/// Keeps the part of [begin, end] in which a + s / inverse lies within [low, high].
+template <class V>
+void clip(V a, V inv, V low, V high, V& begin, V& end) {
+    const V s0 = hn::Mul(hn::Sub(low, a), inv), s1 = hn::Mul(hn::Sub(high, a), inv);
+    begin = hn::Max(begin, hn::Min(s0, s1));
+    end = hn::Min(end, hn::Max(s0, s1));
+}
+
+class Kernel {
+  public:
+    Kernel(const DensityTree& tree, const DensityTraceOptions& options)
+        : tree_(tree),
+          options_(options),
+          perspective_(tree.projection().kind == ProjectionKind::perspective) {}
+
+    void block(RayBundle& bundle, int b, RayDepths& depths) {
+        setUp(bundle, b);
+        const std::size_t levels =
+            std::max(tree_.media().levels.size(), tree_.surfaces().levels.size());
+        for (std::size_t level = 0; level < levels && march_.open; ++level) {
+            const bool last = level + 1 == levels;
+            if (!walk(int(level), last)) continue;
+            settle(b, depths);
+        }
+        // What reached the dark in this face or before is closed.
+        bundle.open[b] = std::uint16_t(bundle.open[b] & ~dark_);
+    }
+
+  private:
+    /// Rays into march_, cut to where something may be met.
+    void setUp(const RayBundle& bundle, int b);
+    /// Walks the rays through one level; false if none is in it.
+    bool walk(int level, bool last);
+    /// Answers what waits.
+    void answer(const DensityPyramid& pyramid, int level, Hits& hits,
+                float (*sum)[kLanes][kLanes]);
+    /// Adds the sums of a level to the depths.
+    void settle(int b, RayDepths& depths);
+
+    template <class V, class M>
+    void push(Hits& hits, V low, V high, hn::Vec<Ints> texel, int first, M mask) {
+        const Floats d;
+        const Ints di;
+        const auto maskI = hn::RebindMask(di, mask);
+        const auto ray = hn::Iota(di, first);
+        hn::StoreU(hn::Compress(low, mask), d, hits.low + hits.count);
+        hn::StoreU(hn::Compress(high, mask), d, hits.high + hits.count);
+        hn::StoreU(hn::Compress(texel, maskI), di, hits.texel + hits.count);
+        hn::StoreU(hn::Compress(ray, maskI), di, hits.ray + hits.count);
+        hits.count += int(hn::CountTrue(d, mask));
+    }
+
+    /// [low, high] widened by the bias of surfaces.
+    template <class V>
+    void widen(V& low, V& high) const {
+        const Floats d;
+        const V base = hn::Set(d, float(options_.bias.base));
+        const V perDepth = hn::Set(d, float(options_.bias.perDepth));
+        if (!perspective_) {
+            const V bias = hn::MulAdd(perDepth, hn::Abs(low), base);
+            low = hn::Sub(low, bias);
+            high = hn::Add(high, bias);
+            return;
+        }
+        const V least = hn::Set(d, 1e-25f), one = hn::Set(d, 1.0f);
+        const V far = hn::Div(one, hn::Max(low, least));
+        const V near = hn::Div(one, hn::Max(high, least));
+        const V bias = hn::MulAdd(perDepth, far, base);
+        low = hn::Div(one, hn::Add(far, bias));
+        high = hn::Div(one, hn::Max(hn::Sub(near, bias), least));
+    }
+
+    const DensityTree& tree_;
+    const DensityTraceOptions& options_;
+    bool perspective_;
+    std::uint32_t dark_ = 0;
+    March march_;
+};
+
+void Kernel::setUp(const RayBundle& bundle, int b) {
+    const Floats d;
+    const int lanes = int(hn::Lanes(d));
+    const Projection& p = tree_.projection();
+    const DensityLevel& pixels =
+        tree_.media().empty() ? tree_.surfaces().levels[0] : tree_.media().levels[0];
+    // Between these w something may be met.
+    float low = HUGE_VALF, high = -HUGE_VALF;
+    if (!tree_.media().empty()) {
+        low = tree_.media().low;
+        high = tree_.media().high;
+    }
+    if (!tree_.surfaces().empty()) {
+        auto from = hn::Set(d, tree_.surfaces().low);
+        auto to = hn::Set(d, tree_.surfaces().high);
+        widen(from, to);
+        low = std::min(low, hn::GetLane(from));
+        high = std::max(high, hn::GetLane(to));
+    }
+    march_.open = 0;
+    dark_ = 0;
+    for (int i = 0; i < kLanes; i += lanes) {
+        const auto zero = hn::Zero(d), one = hn::Set(d, 1.0f), most = hn::Set(d, 1e30f);
+        const auto u = hn::Load(d, bundle.u + i), v = hn::Load(d, bundle.v + i),
+                   w = hn::Load(d, bundle.w + i);
+        const auto du = hn::Load(d, bundle.du[b] + i), dv = hn::Load(d, bundle.dv[b] + i),
+                   dw = hn::Load(d, bundle.dw[b] + i);
+        auto begin = hn::Load(d, bundle.begin[b] + i);
+        auto beginSurfaces = hn::Load(d, bundle.beginSurfaces[b] + i);
+        const auto texel = hn::Load(d, bundle.texel + i);
+        auto open = maskOf(d, std::uint32_t(bundle.open[b]) >> i);
+        for (const auto& x : {u, v, w, du, dv, dw})
+            open = hn::And(open, hn::Lt(hn::Abs(x), most));  // false for NaN
+        open = hn::And(open, hn::And(hn::Ge(begin, hn::Neg(most)), hn::Ge(texel, zero)));
+        open = hn::And(open, hn::Ge(beginSurfaces, hn::Neg(most)));
+        begin = hn::Max(begin, zero);
+        beginSurfaces = hn::Max(beginSurfaces, zero);
+        if (tree_.media().empty()) begin = hn::Max(begin, beginSurfaces);
+        if (!tree_.surfaces().empty()) begin = hn::Min(begin, beginSurfaces);
+        auto end = one;
+        const auto inverseU = inverse(d, du), inverseV = inverse(d, dv);
+        clip(u, inverseU, zero, hn::Set(d, float(pixels.width)), begin, end);
+        clip(v, inverseV, zero, hn::Set(d, float(pixels.height)), begin, end);
+        clip(w, inverse(d, dw), hn::Set(d, low), hn::Set(d, high), begin, end);
+        open = hn::And(open, hn::Lt(begin, end));
+
+        // Way per unit of depth: of d(x, y, z) / ds, z^2 taken out.
+        auto x = hn::Mul(du, hn::Set(d, float(1.0 / p.scale.x)));
+        auto y = hn::Mul(dv, hn::Set(d, float(1.0 / p.scale.y)));
+        auto most16 = hn::Set(d, float(kMostStretch));
+        if (perspective_) {
+            const auto cx = hn::Mul(hn::Sub(u, hn::Set(d, float(p.offset.x))),
+                                    hn::Set(d, float(1.0 / p.scale.x)));
+            const auto cy = hn::Mul(hn::Sub(v, hn::Set(d, float(p.offset.y))),
+                                    hn::Set(d, float(1.0 / p.scale.y)));
+            x = hn::MulSub(x, w, hn::Mul(cx, dw));
+            y = hn::MulSub(y, w, hn::Mul(cy, dw));
+            most16 =
+                hn::Mul(most16, hn::Sqrt(hn::MulAdd(cx, cx, hn::MulAdd(cy, cy, one))));
+        }
+        const auto size = hn::Sqrt(hn::MulAdd(x, x, hn::MulAdd(y, y, hn::Mul(dw, dw))));
+        const auto way = hn::Div(size, hn::Abs(dw));
+        const auto stretch = hn::IfThenElse(hn::Lt(way, most16), way, most16);
+
+        hn::Store(u, d, march_.u + i);
+        hn::Store(v, d, march_.v + i);
+        hn::Store(w, d, march_.w + i);
+        hn::Store(du, d, march_.du + i);
+        hn::Store(dv, d, march_.dv + i);
+        hn::Store(dw, d, march_.dw + i);
+        hn::Store(inverseU, d, march_.inverseU + i);
+        hn::Store(inverseV, d, march_.inverseV + i);
+        hn::Store(begin, d, march_.begin + i);
+        hn::Store(beginSurfaces, d, march_.beginSurfaces + i);
+        hn::Store(end, d, march_.end + i);
+        hn::Store(inverse(d, texel), d, march_.perTexel + i);
+        hn::Store(stretch, d, march_.stretch + i);
+        march_.open |= bitsOf(d, open) << i;
+    }
+}
+
+bool Kernel::walk(int level, bool last) {
+    const Floats d;
+    const Ints di;
+    const int lanes = int(hn::Lanes(d));
+    const auto levelOf = [&](const DensityPyramid& p) -> const DensityLevel* {
+        return p.empty() ? nullptr : &p.levels[std::size_t(level)];
+    };
+    const DensityLevel* media = levelOf(tree_.media());
+    const DensityLevel* surfaces = levelOf(tree_.surfaces());
+    const DensityLevel& texels = media ? *media : *surfaces;
+    const float side = std::ldexp(1.0f, level);
+    const auto zero = hn::Zero(d), nothing = hn::Zero(d);
+    const auto width = hn::Set(di, std::int32_t(texels.width));
+    const auto height = hn::Set(di, std::int32_t(texels.height));
+    bool any = false;
+    std::uint32_t ahead = 0;  // rays that go on behind this level
+
+    for (int i = 0; i < kLanes; i += lanes) {
+        auto alive = maskOf(d, march_.open >> i);
+        const auto perTexel = hn::Load(d, march_.perTexel + i);
+        auto s = hn::Load(d, march_.begin + i);
+        const auto rayEnd = hn::Load(d, march_.end + i);
+        auto end = rayEnd;
+        if (level > 0) s = hn::Max(s, hn::Mul(perTexel, hn::Set(d, side)));
+        if (!last) end = hn::Min(end, hn::Mul(perTexel, hn::Set(d, 2 * side)));
+        ahead |= bitsOf(d, hn::And(alive, hn::Lt(end, rayEnd))) << i;
+        alive = hn::And(alive, hn::Lt(s, end));
+        if (hn::AllFalse(d, alive)) continue;
+        if (!any) {
+            any = true;
+            for (std::uint32_t c = 0; c < tree_.channels(); ++c) {
+                for (int r = 0; r < kLanes; ++r) {
+                    hn::Store(nothing, d, march_.sum[c][r]);
+                    hn::Store(nothing, d, march_.surfaceSum[c][r]);
+                }
+            }
+        }
+
+        const auto u = hn::Load(d, march_.u + i), v = hn::Load(d, march_.v + i),
+                   w = hn::Load(d, march_.w + i);
+        const auto du = hn::Load(d, march_.du + i), dv = hn::Load(d, march_.dv + i),
+                   dw = hn::Load(d, march_.dw + i);
+        const auto inverseU = hn::Load(d, march_.inverseU + i),
+                   inverseV = hn::Load(d, march_.inverseV + i);
+        const auto beginSurfaces = hn::Load(d, march_.beginSurfaces + i);
+
+        // The texel it starts in, and where the next ones begin.
+        const auto scale = hn::Set(d, 1.0f / side);
+        const auto start = [&](auto at, auto delta, auto count) {
+            const auto f = hn::Floor(hn::Mul(hn::MulAdd(s, delta, at), scale));
+            const auto top = hn::Sub(hn::ConvertTo(d, count), hn::Set(d, 1.0f));
+            return hn::Min(hn::Max(f, zero), top);
+        };
+        const auto x0 = start(u, du, width), y0 = start(v, dv, height);
+        auto x = hn::ConvertTo(di, x0), y = hn::ConvertTo(di, y0);
+        const auto fullSide = hn::Set(d, side);
+        const auto stepU = hn::CopySign(fullSide, du), stepV = hn::CopySign(fullSide, dv);
+        const auto oneI = hn::Set(di, 1);
+        const auto negU = hn::RebindMask(di, hn::Lt(stepU, zero));
+        const auto negV = hn::RebindMask(di, hn::Lt(stepV, zero));
+        const auto stepX = hn::IfThenElse(negU, hn::Neg(oneI), oneI);
+        const auto stepY = hn::IfThenElse(negV, hn::Neg(oneI), oneI);
+        const auto toNextU = hn::IfThenElse(hn::Lt(stepU, zero), zero, fullSide);
+        const auto toNextV = hn::IfThenElse(hn::Lt(stepV, zero), zero, fullSide);
+        auto borderU = hn::MulAdd(x0, fullSide, toNextU);
+        auto borderV = hn::MulAdd(y0, fullSide, toNextV);
+        // A ray along an axis never comes to a border of the other.
+        const auto never = hn::Set(d, 1e30f), tiny = hn::Set(d, 1e-25f);
+        const auto stillU = hn::Lt(hn::Abs(du), tiny), stillV = hn::Lt(hn::Abs(dv), tiny);
+        auto nextU =
+            hn::IfThenElse(stillU, never, hn::Mul(hn::Sub(borderU, u), inverseU));
+        auto nextV =
+            hn::IfThenElse(stillV, never, hn::Mul(hn::Sub(borderV, v), inverseV));
+
+        for (;;) {
+            const auto sNext = hn::Max(s, hn::Min(end, hn::Min(nextU, nextV)));
+            const auto texel = hn::IfThenElseZero(hn::RebindMask(di, alive),
+                                                  hn::Add(hn::Mul(y, width), x));
+            const auto wa = hn::MulAdd(s, dw, w), wb = hn::MulAdd(sNext, dw, w);
+            if (media) {
+                const auto low = hn::Min(wa, wb), high = hn::Max(wa, wb);
+                const auto meets =
+                    hn::And(hn::Lt(low, hn::GatherIndex(d, media->high.data(), texel)),
+                            hn::Gt(high, hn::GatherIndex(d, media->low.data(), texel)));
+                push(march_.media, low, high, texel, i, hn::And(alive, meets));
+                if (march_.media.count > Hits::kRoom)
+                    answer(tree_.media(), level, march_.media, march_.sum);
+            }
+            if (surfaces) {
+                const auto from = hn::Max(s, beginSurfaces);
+                const auto wc = hn::MulAdd(from, dw, w);
+                auto low = hn::Min(wc, wb), high = hn::Max(wc, wb);
+                widen(low, high);
+                const auto meets = hn::And(
+                    hn::Lt(low, hn::GatherIndex(d, surfaces->high.data(), texel)),
+                    hn::Gt(high, hn::GatherIndex(d, surfaces->low.data(), texel)));
+                push(march_.surfaces, low, high, texel, i,
+                     hn::And(hn::And(alive, meets), hn::Lt(from, sNext)));
+                if (march_.surfaces.count > Hits::kRoom)
+                    answer(tree_.surfaces(), level, march_.surfaces, march_.surfaceSum);
+            }
+
+            alive = hn::And(alive, hn::Lt(sNext, end));
+            const auto alongU = hn::Le(nextU, nextV);
+            const auto alongUI = hn::RebindMask(di, alongU);
+            x = hn::Add(x, hn::IfThenElseZero(alongUI, stepX));
+            y = hn::Add(y, hn::IfThenZeroElse(alongUI, stepY));
+            borderU = hn::Add(borderU, hn::IfThenElseZero(alongU, stepU));
+            borderV = hn::Add(borderV, hn::IfThenZeroElse(alongU, stepV));
+            nextU = hn::IfThenElse(stillU, never, hn::Mul(hn::Sub(borderU, u), inverseU));
+            nextV = hn::IfThenElse(stillV, never, hn::Mul(hn::Sub(borderV, v), inverseV));
+            s = sNext;
+            const auto before = hn::Set(di, -1);
+            const auto inside = hn::And(hn::And(hn::Gt(x, before), hn::Lt(x, width)),
+                                        hn::And(hn::Gt(y, before), hn::Lt(y, height)));
+            alive = hn::And(alive, hn::RebindMask(d, inside));
+            if (hn::AllFalse(d, alive)) break;
+        }
+    }
+    if (!any) {
+        march_.open &= ahead;
+        return false;
+    }
+    answer(tree_.media(), level, march_.media, march_.sum);
+    answer(tree_.surfaces(), level, march_.surfaces, march_.surfaceSum);
+    march_.open &= ahead;
+    return true;
+}
+
+void Kernel::answer(const DensityPyramid& pyramid, int level, Hits& hits,
+                    float (*sum)[kLanes][kLanes]) {
+    if (hits.count == 0) return;
+    const Floats d;
+    const std::uint32_t lanes = std::uint32_t(hn::Lanes(d));
+    const DensityLevel& texels = pyramid.levels[std::size_t(level)];
+    const float* slabLow = texels.slabLow.data();
+    const float* slabHigh = texels.slabHigh.data();
+    const std::uint32_t channels = tree_.channels();
+    for (int h = 0; h < hits.count; ++h) {
+        const std::uint32_t* begin = texels.begin.data() + hits.texel[h];
+        const auto low = hn::Set(d, hits.low[h]), high = hn::Set(d, hits.high[h]);
+        const int ray = hits.ray[h];
+        for (std::uint32_t k = begin[0]; k < begin[1]; k += lanes) {
+            const auto from = hn::Max(low, hn::LoadU(d, slabLow + k));
+            const auto to = hn::Min(high, hn::LoadU(d, slabHigh + k));
+            auto within = hn::Max(hn::Sub(to, from), hn::Zero(d));
+            if (begin[1] - k < lanes)
+                within = hn::IfThenElseZero(hn::FirstN(d, begin[1] - k), within);
+            for (std::uint32_t c = 0; c < channels; ++c) {
+                float* at = sum[c][ray];
+                const auto density = hn::LoadU(d, texels.density[c].data() + k);
+                hn::Store(hn::MulAdd(within, density, hn::Load(d, at)), d, at);
+            }
+        }
+    }
+    hits.count = 0;
+}
+
+void Kernel::settle(int b, RayDepths& depths) {
+    const Floats d;
+    for (int ray = 0; ray < kLanes; ++ray) {
+        bool dark = true;
+        for (std::uint32_t c = 0; c < tree_.channels(); ++c) {
+            const float media =
+                hn::GetLane(hn::SumOfLanes(d, hn::Load(d, march_.sum[c][ray])));
+            const float surfaces =
+                hn::GetLane(hn::SumOfLanes(d, hn::Load(d, march_.surfaceSum[c][ray])));
+            float& depth = depths.depth[c][b][ray];
+            depth += media * march_.stretch[ray] + surfaces;
+            dark = dark && depth >= options_.darkDepth;
+        }
+        if (dark) dark_ |= 1u << ray;
+    }
+    march_.open &= ~dark_;
+}
+
+void traceDensityAt(const DensityTree& tree, const DensityTraceOptions& options,
+                    RayBundle& bundle, RayDepths& depths) {
+    if (tree.media().empty() && tree.surfaces().empty()) return;
+    Kernel kernel(tree, options);
+    for (int b = 0; b < bundle.blocks; ++b) {
+        if (bundle.open[b]) kernel.block(bundle, b, depths);
+    }
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace mtsm::trace
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace mtsm::trace {
+
+HWY_EXPORT(traceDensityAt);
+
+void traceDensity(const DensityTree& tree, const DensityTraceOptions& options,
+                  RayBundle& bundle, RayDepths& depths) noexcept {
+    HWY_DYNAMIC_DISPATCH(traceDensityAt)(tree, options, bundle, depths);
+}
+
+}  // namespace mtsm::trace
+#endif

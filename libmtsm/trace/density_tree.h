@@ -1,0 +1,87 @@
+// density_tree.h - one face of a transparent map as optical depths that add up along a
+// ray, at every resolution: what the fast trace of media follows rays through.
+//
+// Level 0 has a texel per pixel, each level above one per 2 x 2 texels below. A texel is
+// a list of slabs in straight space (bundle.h): between w = low and w = high its optical
+// depth is spread evenly, so that what a ray meets is an overlap times a density. Depths
+// are those along the centre ray over that ray's way per unit of depth: times the way of
+// any other ray per unit of depth they are what that ray loses [traverse.h, Media].
+//
+// Merging. Slabs next to one another become one while they are short and thin (see
+// DensityOptions). Over a texel's four children, whose areas are apart, light adds: the
+// mean of the transmittance is kept, not that of the depth. So a strand that covers part
+// of several pixels is summed up before the logarithm, and what lies in other slabs is
+// taken for independent. From slab to slab optical depths add.
+//
+// Surfaces: in a map of media opaque layers of one sample (map.h). They have a pyramid
+// of their own, because they count from elsewhere along a ray, are met within the bias,
+// and take the same at any slant. At level 0 they block; above, a texel that they cover
+// in part has the depth -ln(1 - part).
+//
+// Built in parallel in the caller's oneTBB arena, the same for any number of threads.
+#pragma once
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "mtsm/map.h"
+#include "mtsm/result.h"
+#include "trace/bundle.h"
+
+namespace mtsm::trace {
+
+struct DensityOptions {
+    /// Slabs are merged up to this optical depth and this length in texel footprints. A
+    /// length of 0 keeps every layer of the map apart at level 0.
+    double depth = 0.4;
+    double length = 8.0;
+};
+
+/// What is dark: rays that have met this much have no light left. Finite, so that parts
+/// of it are numbers.
+inline constexpr float kDarkDepth = 1000.0f;
+
+/// One resolution: row-major texels.
+struct DensityLevel {
+    std::uint32_t width = 0, height = 0;
+    /// [texel]: the w between which all its slabs lie; (inf, -inf) without slabs.
+    std::vector<float> low, high;
+    /// [texels + 1]: texel t has slabs [begin[t], begin[t + 1]), about in order of w.
+    std::vector<std::uint32_t> begin;
+    /// [slabs + kLanes]: readable a vector beyond the end. low < high.
+    std::vector<float> slabLow, slabHigh;
+    /// [channel][slabs + kLanes]: optical depth per unit of w; finite, >= 0.
+    std::array<std::vector<float>, 3> density;
+};
+
+/// From level 0 to one of a single texel.
+struct DensityPyramid {
+    std::vector<DensityLevel> levels;
+    float low = 0.0f, high = 0.0f;  ///< the w between which everything lies
+    [[nodiscard]] bool empty() const noexcept { return !(low < high); }
+};
+
+class DensityTree {
+  public:
+    /// The face of a map of media. Errors: badArgument if the map is one of sheets,
+    /// tooLarge if a level has 2^32 slabs or more. Time and memory are linear in the
+    /// number of layers and pixels.
+    [[nodiscard]] static Result<DensityTree> build(const ShadowMap& map,
+                                                   std::uint32_t face,
+                                                   const DensityOptions& options = {});
+
+    [[nodiscard]] const Projection& projection() const noexcept { return projection_; }
+    [[nodiscard]] std::uint32_t channels() const noexcept { return channels_; }
+    [[nodiscard]] const DensityPyramid& media() const noexcept { return media_; }
+    [[nodiscard]] const DensityPyramid& surfaces() const noexcept { return surfaces_; }
+    [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
+
+  private:
+    DensityTree() = default;
+
+    Projection projection_;
+    std::uint32_t channels_ = 1;
+    DensityPyramid media_, surfaces_;
+};
+
+}  // namespace mtsm::trace
