@@ -79,7 +79,7 @@ class Kernel {
         setUp(bundle, b);
         const std::size_t levels =
             std::max(tree_.media().levels.size(), tree_.surfaces().levels.size());
-        for (std::size_t level = 0; level < levels && march_.open; ++level) {
+        for (std::size_t level = tree_.finest(); level < levels && march_.open; ++level) {
             const bool last = level + 1 == levels;
             if (!walk(int(level), last)) continue;
             settle(b, depths);
@@ -143,8 +143,6 @@ void Kernel::setUp(const RayBundle& bundle, int b) {
     const Floats d;
     const int lanes = int(hn::Lanes(d));
     const Projection& p = tree_.projection();
-    const DensityLevel& pixels =
-        tree_.media().empty() ? tree_.surfaces().levels[0] : tree_.media().levels[0];
     // Between these w something may be met.
     float low = HUGE_VALF, high = -HUGE_VALF;
     if (!tree_.media().empty()) {
@@ -180,8 +178,8 @@ void Kernel::setUp(const RayBundle& bundle, int b) {
         if (!tree_.surfaces().empty()) begin = hn::Min(begin, beginSurfaces);
         auto end = one;
         const auto inverseU = inverse(d, du), inverseV = inverse(d, dv);
-        clip(u, inverseU, zero, hn::Set(d, float(pixels.width)), begin, end);
-        clip(v, inverseV, zero, hn::Set(d, float(pixels.height)), begin, end);
+        clip(u, inverseU, zero, hn::Set(d, float(tree_.width())), begin, end);
+        clip(v, inverseV, zero, hn::Set(d, float(tree_.height())), begin, end);
         clip(w, inverse(d, dw), hn::Set(d, low), hn::Set(d, high), begin, end);
         open = hn::And(open, hn::Lt(begin, end));
 
@@ -243,7 +241,8 @@ bool Kernel::walk(int level, bool last) {
         auto s = hn::Load(d, march_.begin + i);
         const auto rayEnd = hn::Load(d, march_.end + i);
         auto end = rayEnd;
-        if (level > 0) s = hn::Max(s, hn::Mul(perTexel, hn::Set(d, side)));
+        if (std::uint32_t(level) > tree_.finest())
+            s = hn::Max(s, hn::Mul(perTexel, hn::Set(d, side)));
         if (!last) end = hn::Min(end, hn::Mul(perTexel, hn::Set(d, 2 * side)));
         ahead |= bitsOf(d, hn::And(alive, hn::Lt(end, rayEnd))) << i;
         alive = hn::And(alive, hn::Lt(s, end));
@@ -356,22 +355,33 @@ void Kernel::answer(const DensityPyramid& pyramid, int level, Hits& hits,
     const std::uint32_t lanes = std::uint32_t(hn::Lanes(d));
     const DensityLevel& texels = pyramid.levels[std::size_t(level)];
     const float* slabLow = texels.slabLow.data();
-    const float* slabHigh = texels.slabHigh.data();
+    const std::uint32_t* first = texels.lengthAndDensity.data();
+    const std::uint32_t* others = texels.otherDensities.data();
+    const hn::RebindToUnsigned<Floats> du;
+    const auto upper = hn::Set(du, 0xffff0000u);
     const std::uint32_t channels = tree_.channels();
     for (int h = 0; h < hits.count; ++h) {
         const std::uint32_t* begin = texels.begin.data() + hits.texel[h];
         const auto low = hn::Set(d, hits.low[h]), high = hn::Set(d, hits.high[h]);
         const int ray = hits.ray[h];
         for (std::uint32_t k = begin[0]; k < begin[1]; k += lanes) {
-            const auto from = hn::Max(low, hn::LoadU(d, slabLow + k));
-            const auto to = hn::Min(high, hn::LoadU(d, slabHigh + k));
+            const auto slab = hn::LoadU(d, slabLow + k);
+            const auto bits = hn::LoadU(du, first + k);
+            const auto length = hn::BitCast(d, hn::And(bits, upper));
+            const auto from = hn::Max(low, slab);
+            const auto to = hn::Min(high, hn::Add(slab, length));
             auto within = hn::Max(hn::Sub(to, from), hn::Zero(d));
             if (begin[1] - k < lanes)
                 within = hn::IfThenElseZero(hn::FirstN(d, begin[1] - k), within);
-            for (std::uint32_t c = 0; c < channels; ++c) {
-                float* at = sum[c][ray];
-                const auto density = hn::LoadU(d, texels.density[c].data() + k);
-                hn::Store(hn::MulAdd(within, density, hn::Load(d, at)), d, at);
+            const auto add = [&](auto density, float* at) {
+                hn::Store(hn::MulAdd(within, hn::BitCast(d, density), hn::Load(d, at)), d,
+                          at);
+            };
+            add(hn::ShiftLeft<16>(bits), sum[0][ray]);
+            if (channels == 3) {
+                const auto other = hn::LoadU(du, others + k);
+                add(hn::And(other, upper), sum[1][ray]);
+                add(hn::ShiftLeft<16>(other), sum[2][ray]);
             }
         }
     }

@@ -31,7 +31,7 @@
 // Sixteen rays step at a time; texels with something in their way wait in a short queue,
 // and each is then answered with as many of its slabs at once as a vector has lanes.
 //
-// Against the definition (traverse.h) with texel = 0, a tree of DensityOptions::length 0
+// Against the definition (traverse.h) with texel = 0
 // and Attenuation::multiply: the samples of a layer are spread evenly over it, instead of
 // being met one by one; what lies within a float's rounding of a pixel's border may be
 // met on the other side; and a ray's stretch is capped at 16 times that of the centre ray

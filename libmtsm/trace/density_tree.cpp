@@ -2,6 +2,8 @@
 #include "trace/density_tree.h"
 
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -15,14 +17,59 @@ namespace {
 constexpr std::uint32_t kRowsPerTask = 16;
 /// What lies at one depth is given this length, of its w: enough for floats to tell parts
 /// of it, and far below a pixel's footprint.
-constexpr float kThinnest = 0x1p-17f;
+constexpr float kThinnest = 0x1p-16f;
 /// Surfaces are merged over this many texel footprints, at any depth.
 constexpr double kSurfaceLength = 2.0;
 
+using Depths = std::array<float, 3>;  // [channel]
+
 struct Slab {
     float low = 0.0f, high = 0.0f;
-    std::array<float, 3> depth{};
+    Depths depth{};
 };
+
+// The upper 16 bits of floats.
+std::uint32_t upperHalf(float x) {
+    const auto bits = std::bit_cast<std::uint32_t>(x);
+    return (bits + 0x7fffu + (bits >> 16 & 1u)) >> 16;
+}
+std::uint32_t upperHalfNotBelow(float x) {
+    return (std::bit_cast<std::uint32_t>(x) + 0xffffu) >> 16;
+}
+float fromUpperHalf(std::uint32_t bits) {
+    return std::bit_cast<float>(bits << 16);
+}
+
+/// Slabs as a level keeps them.
+struct PackedSlabs {
+    std::vector<float> low;
+    std::vector<std::uint32_t> lengthAndDensity, otherDensities;
+
+    /// Returns where the slab now ends.
+    float add(const Slab& slab, std::uint32_t channels) {
+        const std::uint32_t length = upperHalfNotBelow(slab.high - slab.low);
+        const float high = slab.low + fromUpperHalf(length);
+        const float inverse = 1.0f / (high - slab.low);
+        low.push_back(slab.low);
+        lengthAndDensity.push_back(length << 16 | upperHalf(slab.depth[0] * inverse));
+        if (channels == 3)
+            otherDensities.push_back(upperHalf(slab.depth[1] * inverse) << 16 |
+                                     upperHalf(slab.depth[2] * inverse));
+        return high;
+    }
+};
+
+Slab unpack(const DensityLevel& level, std::uint32_t i, std::uint32_t channels) {
+    const std::uint32_t bits = level.lengthAndDensity[i];
+    const float low = level.slabLow[i], high = low + fromUpperHalf(bits >> 16);
+    const float length = high - low;
+    Slab slab{low, high, {fromUpperHalf(bits & 0xffffu) * length, 0.0f, 0.0f}};
+    if (channels == 3) {
+        slab.depth[1] = fromUpperHalf(level.otherDensities[i] >> 16) * length;
+        slab.depth[2] = fromUpperHalf(level.otherDensities[i] & 0xffffu) * length;
+    }
+    return slab;
+}
 
 /// Slabs that join one another are merged up to these.
 struct Limits {
@@ -87,10 +134,10 @@ class PixelSlabs {
 
     [[nodiscard]] float straight(float z) const { return perspective_ ? 1.0f / z : -z; }
 
-    [[nodiscard]] Slab at(float z, std::array<float, 3> depth) const {
+    [[nodiscard]] Slab at(float z, Depths depth) const {
         return between(straight(z), straight(z), depth);
     }
-    static Slab between(float low, float high, std::array<float, 3> depth) {
+    static Slab between(float low, float high, Depths depth) {
         const float thinnest = std::max(kThinnest * std::abs(low), 1e-30f);
         return {low, std::max(high, low + thinnest), depth};
     }
@@ -100,7 +147,7 @@ class PixelSlabs {
     void medium(const PixelLayers& pixel, std::uint32_t i, float way,
                 std::vector<Slab>& out) const {
         const bool restart = i == 0 || isDark(pixel, i - 1);
-        std::array<float, 3> depth{}, end{};
+        Depths depth{}, end{};
         bool takes = false, ends = false;
         for (std::uint32_t c = 0; c < channels_; ++c) {
             const float after = v(pixel, i, c);
@@ -128,6 +175,18 @@ class PixelSlabs {
 
 // --- merging ---------------------------------------------------------------------------
 
+/// 1 - exp(-depth), exact for thin ones too.
+float takenBy(float depth) {
+    if (depth > 0.0625f) return 1.0f - std::exp(-depth);
+    return depth * (1.0f - depth * (0.5f - depth * (1.0f / 6 - depth * (1.0f / 24))));
+}
+
+float depthThatTakes(float taken) {
+    if (!(taken < 1.0f)) return kDarkDepth;
+    if (taken > 0.0625f) return -std::log(1.0f - taken);
+    return taken * (1.0f + taken * (0.5f + taken * (1.0f / 3 + taken * 0.25f)));
+}
+
 /// Merges slabs that come in order of their middle. Each belongs to one of `children`
 /// areas of equal size that lie beside one another.
 class Merger {
@@ -142,7 +201,9 @@ class Merger {
         count_ = 0;
     }
     void add(const Slab& slab, std::uint32_t child) {
-        if (count_ > 0 && !fits(slab)) end();
+        float thickest = slab.depth[0];
+        if (channels_ == 3) thickest = std::max({thickest, slab.depth[1], slab.depth[2]});
+        if (count_ > 0 && !fits(slab, thickest)) end();
         if (count_++ == 0) {
             low_ = slab.low;
             high_ = slab.high;
@@ -153,7 +214,7 @@ class Merger {
         high_ = std::max(high_, slab.high);
         for (std::uint32_t c = 0; c < channels_; ++c)
             depth_[child][c] += slab.depth[c];
-        thickest_ += *std::max_element(slab.depth.begin(), slab.depth.end());
+        thickest_ += thickest;
     }
     void end() {
         if (count_ > 0) out_->push_back({low_, high_, merged()});
@@ -161,28 +222,20 @@ class Merger {
     }
 
   private:
-    [[nodiscard]] bool fits(const Slab& slab) const {
+    [[nodiscard]] bool fits(const Slab& slab, float thickest) const {
         const float low = std::min(low_, slab.low), high = std::max(high_, slab.high);
-        const float depth =
-            thickest_ + *std::max_element(slab.depth.begin(), slab.depth.end());
         return high - low <= limits_.lengthAt(high) &&
-               depth <= limits_.depth * float(children_);
+               thickest_ + thickest <= limits_.depth * float(children_);
     }
 
     /// The depth whose transmittance is the mean of the children's.
-    [[nodiscard]] std::array<float, 3> merged() const {
-        std::array<float, 3> result{};
+    [[nodiscard]] Depths merged() const {
+        Depths result{};
         for (std::uint32_t c = 0; c < channels_; ++c) {
-            if (children_ == 1) {
-                result[c] = std::min(depth_[0][c], kDarkDepth);
-                continue;
-            }
-            // 1 - exp(-d), kept apart from 1 for thin slabs.
             float taken = 0.0f;
             for (std::uint32_t k = 0; k < children_; ++k)
-                taken -= std::expm1(-depth_[k][c]);
-            taken /= float(children_);
-            result[c] = taken < 1.0f ? -std::log1p(-taken) : kDarkDepth;
+                taken += takenBy(depth_[k][c]);
+            result[c] = depthThatTakes(taken / float(children_));
         }
         return result;
     }
@@ -193,23 +246,40 @@ class Merger {
     std::vector<Slab>* out_ = nullptr;
     std::uint32_t count_ = 0;  // slabs in what is open
     float low_ = 0.0f, high_ = 0.0f, thickest_ = 0.0f;
-    std::array<std::array<float, 3>, 4> depth_{};  // [child][channel]
+    std::array<Depths, 4> depth_{};  // [child][channel]
 };
 
 // --- levels ----------------------------------------------------------------------------
 
-/// The slabs of some rows of texels, one list after another.
+/// Some rows of texels, one list of slabs after another.
 struct Rows {
-    std::vector<std::uint32_t> counts;
-    std::vector<Slab> slabs;
+    std::vector<float> low, high;       // [texel]
+    std::vector<std::uint32_t> counts;  // [texel]
+    PackedSlabs slabs;
+
+    void append(const std::vector<Slab>& list, std::uint32_t channels) {
+        float from = HUGE_VALF, to = -HUGE_VALF;
+        for (const Slab& slab : list) {
+            from = std::min(from, slab.low);
+            to = std::max(to, slabs.add(slab, channels));
+        }
+        low.push_back(from);
+        high.push_back(to);
+        counts.push_back(std::uint32_t(list.size()));
+    }
 };
+
+template <typename T>
+void put(const std::vector<T>& from, std::vector<T>& to, std::size_t at) {
+    std::copy(from.begin(), from.end(), to.begin() + std::ptrdiff_t(at));
+}
 
 /// Puts the rows of all tasks together; false if there are too many slabs.
 bool assemble(std::vector<Rows>& tasks, std::uint32_t channels, DensityLevel& level) {
     const std::size_t texels = std::size_t(level.width) * level.height;
     std::vector<std::uint64_t> first(tasks.size() + 1, 0);
     for (std::size_t t = 0; t < tasks.size(); ++t)
-        first[t + 1] = first[t] + tasks[t].slabs.size();
+        first[t + 1] = first[t] + tasks[t].slabs.low.size();
     if (first.back() > std::numeric_limits<std::uint32_t>::max() - kLanes) return false;
     const std::size_t room = first.back() + kLanes;
     level.low.resize(texels);
@@ -217,32 +287,27 @@ bool assemble(std::vector<Rows>& tasks, std::uint32_t channels, DensityLevel& le
     level.begin.resize(texels + 1);
     level.begin[texels] = std::uint32_t(first.back());
     level.slabLow.resize(room);
-    level.slabHigh.resize(room);
-    for (std::uint32_t c = 0; c < channels; ++c)
-        level.density[c].resize(room);
+    level.lengthAndDensity.resize(room);
+    if (channels == 3) level.otherDensities.resize(room);
     base::parallelFor(std::size_t(0), tasks.size(), [&](std::size_t task) {
-        std::size_t texel = task * kRowsPerTask * level.width, to = first[task];
-        const Slab* from = tasks[task].slabs.data();
-        for (const std::uint32_t count : tasks[task].counts) {
-            float low = HUGE_VALF, high = -HUGE_VALF;
-            level.begin[texel] = std::uint32_t(to);
-            for (std::uint32_t i = 0; i < count; ++i, ++from, ++to) {
-                low = std::min(low, from->low);
-                high = std::max(high, from->high);
-                level.slabLow[to] = from->low;
-                level.slabHigh[to] = from->high;
-                for (std::uint32_t c = 0; c < channels; ++c)
-                    level.density[c][to] = from->depth[c] / (from->high - from->low);
-            }
-            level.low[texel] = low;
-            level.high[texel++] = high;
+        Rows& rows = tasks[task];
+        std::size_t texel = task * kRowsPerTask * level.width;
+        put(rows.low, level.low, texel);
+        put(rows.high, level.high, texel);
+        put(rows.slabs.low, level.slabLow, first[task]);
+        put(rows.slabs.lengthAndDensity, level.lengthAndDensity, first[task]);
+        put(rows.slabs.otherDensities, level.otherDensities, first[task]);
+        std::uint64_t begin = first[task];
+        for (const std::uint32_t count : rows.counts) {
+            level.begin[texel++] = std::uint32_t(begin);
+            begin += count;
         }
-        tasks[task] = {};
+        rows = {};
     });
     return true;
 }
 
-/// texel(x, y, scratch) calls for every texel, row by row; its slabs are scratch.slabs.
+/// make(y0, y1, rows) appends the texels of rows [y0, y1).
 template <typename MakeTexels>
 bool makeLevel(std::uint32_t channels, DensityLevel& level, const MakeTexels& make) {
     std::vector<Rows> tasks((level.height + kRowsPerTask - 1) / kRowsPerTask);
@@ -253,53 +318,60 @@ bool makeLevel(std::uint32_t channels, DensityLevel& level, const MakeTexels& ma
     return assemble(tasks, channels, level);
 }
 
-void append(const std::vector<Slab>& slabs, Rows& rows) {
-    rows.counts.push_back(std::uint32_t(slabs.size()));
-    rows.slabs.insert(rows.slabs.end(), slabs.begin(), slabs.end());
-}
-
-bool makePixels(const ShadowMap& map, std::uint32_t face, bool surfaces, Limits limits,
+bool makePixels(const ShadowMap& map, std::uint32_t face, bool surfaces,
                 DensityLevel& level) {
     level.width = map.info().width;
     level.height = map.info().height;
     const PixelSlabs pixels(map, face);
-    const auto make = [&](std::uint32_t y0, std::uint32_t y1, Rows& rows) {
-        Merger merger(map.info().channels, limits);
-        std::vector<Slab> slabs, merged;
-        for (std::uint32_t y = y0; y < y1; ++y) {
-            for (std::uint32_t x = 0; x < level.width; ++x) {
-                pixels.read(map.pixel(face, x, y), x, y, surfaces, slabs);
-                merger.begin(1, merged);
-                for (const Slab& slab : slabs)
-                    merger.add(slab, 0);
-                merger.end();
-                append(merged, rows);
+    return makeLevel(
+        map.info().channels, level, [&](std::uint32_t y0, std::uint32_t y1, Rows& rows) {
+            std::vector<Slab> slabs;
+            for (std::uint32_t y = y0; y < y1; ++y) {
+                for (std::uint32_t x = 0; x < level.width; ++x) {
+                    pixels.read(map.pixel(face, x, y), x, y, surfaces, slabs);
+                    rows.append(slabs, map.info().channels);
+                }
             }
-        }
-    };
-    return makeLevel(map.info().channels, level, make);
+        });
 }
 
 /// Reads a texel's list from its front.
 struct ListReader {
     const DensityLevel& level;
-    std::uint32_t next, end;
-    ListReader(const DensityLevel& from, std::uint32_t x, std::uint32_t y)
+    std::uint32_t channels, next, end;
+    Slab slab;                 // the first that was not taken
+    float middle = HUGE_VALF;  // twice the middle of it
+
+    ListReader(const DensityLevel& from, std::uint32_t x, std::uint32_t y,
+               std::uint32_t channelCount)
         : level(from),
+          channels(channelCount),
           next(from.begin[std::size_t(y) * from.width + x]),
-          end(from.begin[std::size_t(y) * from.width + x + 1]) {}
-    /// Twice the middle of the next slab.
-    [[nodiscard]] float middle() const {
-        return next < end ? level.slabLow[next] + level.slabHigh[next] : HUGE_VALF;
+          end(from.begin[std::size_t(y) * from.width + x + 1]) {
+        take();
     }
-    Slab take(std::uint32_t channels) {
-        Slab slab{level.slabLow[next], level.slabHigh[next], {}};
-        for (std::uint32_t c = 0; c < channels; ++c)
-            slab.depth[c] = level.density[c][next] * (slab.high - slab.low);
-        ++next;
-        return slab;
+    void take() {
+        middle = HUGE_VALF;
+        if (next == end) return;
+        slab = unpack(level, next++, channels);
+        middle = slab.low + slab.high;
     }
 };
+
+/// Merges the lists of up to four texels below.
+void mergeLists(std::vector<ListReader>& lists, Merger& merger, std::vector<Slab>& out) {
+    merger.begin(std::uint32_t(lists.size()), out);
+    for (;;) {
+        std::uint32_t first = 0;
+        for (std::uint32_t k = 1; k < lists.size(); ++k) {
+            if (lists[k].middle < lists[first].middle) first = k;
+        }
+        if (lists[first].middle == HUGE_VALF) break;
+        merger.add(lists[first].slab, first);
+        lists[first].take();
+    }
+    merger.end();
+}
 
 bool makeCoarser(const DensityLevel& fine, std::uint32_t channels, Limits limits,
                  DensityLevel& level) {
@@ -315,19 +387,10 @@ bool makeCoarser(const DensityLevel& fine, std::uint32_t channels, Limits limits
                 for (std::uint32_t v = 2 * y; v < std::min(2 * y + 2, fine.height); ++v) {
                     for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, fine.width);
                          ++u)
-                        lists.emplace_back(fine, u, v);
+                        lists.emplace_back(fine, u, v, channels);
                 }
-                merger.begin(std::uint32_t(lists.size()), merged);
-                for (;;) {
-                    std::uint32_t first = 0;
-                    for (std::uint32_t k = 1; k < lists.size(); ++k) {
-                        if (lists[k].middle() < lists[first].middle()) first = k;
-                    }
-                    if (lists[first].next == lists[first].end) break;
-                    merger.add(lists[first].take(channels), first);
-                }
-                merger.end();
-                append(merged, rows);
+                mergeLists(lists, merger, merged);
+                rows.append(merged, channels);
             }
         }
     };
@@ -335,17 +398,15 @@ bool makeCoarser(const DensityLevel& fine, std::uint32_t channels, Limits limits
 }
 
 struct Merging {
-    double depth, length, finestLength;
+    double depth, length;
+    std::uint32_t finest;
 };
 
 bool makePyramid(const ShadowMap& map, std::uint32_t face, bool surfaces, Merging merging,
                  DensityPyramid& pyramid) {
     const Projection& p = map.projection(face);
     pyramid.levels.emplace_back();
-    if (!makePixels(map, face, surfaces,
-                    limitsOf(p, merging.depth, merging.finestLength, 0),
-                    pyramid.levels[0]))
-        return false;
+    if (!makePixels(map, face, surfaces, pyramid.levels[0])) return false;
     if (pyramid.levels[0].begin.back() == 0) {
         pyramid = {};
         return true;
@@ -356,6 +417,7 @@ bool makePyramid(const ShadowMap& map, std::uint32_t face, bool surfaces, Mergin
         if (!makeCoarser(pyramid.levels.back(), map.info().channels,
                          limitsOf(p, merging.depth, merging.length, i), level))
             return false;
+        if (i <= merging.finest) pyramid.levels.back() = {};
         pyramid.levels.push_back(std::move(level));
     }
     pyramid.low = pyramid.levels.back().low[0];
@@ -363,14 +425,17 @@ bool makePyramid(const ShadowMap& map, std::uint32_t face, bool surfaces, Mergin
     return true;
 }
 
+template <typename T>
+std::uint64_t bytesOf(const std::vector<T>& plane) {
+    return plane.size() * sizeof(T);
+}
+
 std::uint64_t bytesOf(const DensityPyramid& pyramid) {
     std::uint64_t bytes = 0;
-    for (const DensityLevel& l : pyramid.levels) {
-        for (const auto* plane : {&l.low, &l.high, &l.slabLow, &l.slabHigh, &l.density[0],
-                                  &l.density[1], &l.density[2]})
-            bytes += plane->size() * sizeof(float);
-        bytes += l.begin.size() * sizeof(std::uint32_t);
-    }
+    for (const DensityLevel& l : pyramid.levels)
+        bytes += bytesOf(l.low) + bytesOf(l.high) + bytesOf(l.begin) +
+                 bytesOf(l.slabLow) + bytesOf(l.lengthAndDensity) +
+                 bytesOf(l.otherDensities);
     return bytes;
 }
 
@@ -384,11 +449,16 @@ Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
     DensityTree tree;
     tree.projection_ = map.projection(face);
     tree.channels_ = map.info().channels;
-    const double dark = 8.0 * kDarkDepth;
-    const double length = options.length > 0.0 ? options.length : DensityOptions{}.length;
-    if (!makePyramid(map, face, false, {options.depth, length, options.length},
+    tree.width_ = map.info().width;
+    tree.height_ = map.info().height;
+    const auto coarsest =
+        std::uint32_t(std::bit_width(std::max(tree.width_, tree.height_) - 1));
+    tree.finest_ = std::min(options.finest, coarsest);
+    // Surfaces are merged whatever their depth.
+    if (!makePyramid(map, face, false, {options.depth, options.length, tree.finest_},
                      tree.media_) ||
-        !makePyramid(map, face, true, {dark, kSurfaceLength, 0.0}, tree.surfaces_))
+        !makePyramid(map, face, true, {8.0 * kDarkDepth, kSurfaceLength, tree.finest_},
+                     tree.surfaces_))
         return base::makeError(ErrorCode::tooLarge, "face ", face,
                                " has too many layers for a density tree: bake with a "
                                "larger tolerance or fewer layers");

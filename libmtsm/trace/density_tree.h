@@ -7,11 +7,12 @@
 // are those along the centre ray over that ray's way per unit of depth: times the way of
 // any other ray per unit of depth they are what that ray loses [traverse.h, Media].
 //
-// Merging. Slabs next to one another become one while they are short and thin (see
-// DensityOptions). Over a texel's four children, whose areas are apart, light adds: the
-// mean of the transmittance is kept, not that of the depth. So a strand that covers part
-// of several pixels is summed up before the logarithm, and what lies in other slabs is
-// taken for independent. From slab to slab optical depths add.
+// Merging. At level 0 every layer is a slab. Above, slabs of a texel's four children that
+// lie about one another become one while it is short and thin (see DensityOptions). The
+// children's areas are apart, so light adds: the mean of the transmittance is kept, not
+// that of the depth, which would be too dark. So a strand that covers part of several
+// pixels is summed up before the logarithm, and what lies in other slabs is taken for
+// independent: there depths add. (Measured: tests/bench/NOTES.md.)
 //
 // Surfaces: in a map of media opaque layers of one sample (map.h). They have a pyramid
 // of their own, because they count from elsewhere along a ray, are met within the bias,
@@ -20,7 +21,6 @@
 //
 // Built in parallel in the caller's oneTBB arena, the same for any number of threads.
 #pragma once
-#include <array>
 #include <cstdint>
 #include <vector>
 
@@ -31,10 +31,13 @@
 namespace mtsm::trace {
 
 struct DensityOptions {
-    /// Slabs are merged up to this optical depth and this length in texel footprints. A
-    /// length of 0 keeps every layer of the map apart at level 0.
+    /// Slabs are merged up to this optical depth, and to this length in footprints of the
+    /// level's texels.
     double depth = 0.4;
     double length = 8.0;
+    /// Levels below are left out: 1 takes a fifth of the memory of 0 for fur, for rays
+    /// whose way near the receiver is answered from elsewhere.
+    std::uint32_t finest = 0;
 };
 
 /// What is dark: rays that have met this much have no light left. Finite, so that parts
@@ -48,16 +51,20 @@ struct DensityLevel {
     std::vector<float> low, high;
     /// [texels + 1]: texel t has slabs [begin[t], begin[t + 1]), about in order of w.
     std::vector<std::uint32_t> begin;
-    /// [slabs + kLanes]: readable a vector beyond the end. low < high.
-    std::vector<float> slabLow, slabHigh;
-    /// [channel][slabs + kLanes]: optical depth per unit of w; finite, >= 0.
-    std::array<std::vector<float>, 3> density;
+    /// [slabs + kLanes]: readable a vector beyond the end. A slab lies between low and
+    /// low + length.
+    std::vector<float> slabLow;
+    /// [slabs + kLanes]: two numbers, each the upper 16 bits of a float: the length
+    /// (upper half; > 0) and what channel 0 has of optical depth per unit of w (>= 0).
+    std::vector<std::uint32_t> lengthAndDensity;
+    /// The same for channels 1 (upper half) and 2, of maps that have them.
+    std::vector<std::uint32_t> otherDensities;
 };
 
-/// From level 0 to one of a single texel.
+/// From level `finest` to one of a single texel.
 struct DensityPyramid {
-    std::vector<DensityLevel> levels;
-    float low = 0.0f, high = 0.0f;  ///< the w between which everything lies
+    std::vector<DensityLevel> levels;  ///< those below `finest` are empty
+    float low = 0.0f, high = 0.0f;     ///< the w between which everything lies
     [[nodiscard]] bool empty() const noexcept { return !(low < high); }
 };
 
@@ -72,6 +79,9 @@ class DensityTree {
 
     [[nodiscard]] const Projection& projection() const noexcept { return projection_; }
     [[nodiscard]] std::uint32_t channels() const noexcept { return channels_; }
+    [[nodiscard]] std::uint32_t width() const noexcept { return width_; }  ///< pixels
+    [[nodiscard]] std::uint32_t height() const noexcept { return height_; }
+    [[nodiscard]] std::uint32_t finest() const noexcept { return finest_; }
     [[nodiscard]] const DensityPyramid& media() const noexcept { return media_; }
     [[nodiscard]] const DensityPyramid& surfaces() const noexcept { return surfaces_; }
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
@@ -80,7 +90,7 @@ class DensityTree {
     DensityTree() = default;
 
     Projection projection_;
-    std::uint32_t channels_ = 1;
+    std::uint32_t channels_ = 1, width_ = 0, height_ = 0, finest_ = 0;
     DensityPyramid media_, surfaces_;
 };
 

@@ -150,7 +150,7 @@ void run(const Scene& scene, std::vector<Group>& groups,
     const double zNear = test::nearestOf(scene.map, 0);
     const auto bundle = std::make_unique<RayBundle>();
     const auto depths = std::make_unique<RayDepths>();
-    for (const int cells : {4, 16, 64}) {
+    for (const int cells : {16, 64}) {
         const int repeats = 5;
         std::vector<std::vector<Ray>> rays;
         for (std::size_t g = 0; g < groups.size(); ++g)
@@ -176,7 +176,7 @@ void run(const Scene& scene, std::vector<Group>& groups,
         }
         print("definition", cells, scalar, scalar.nanoseconds);
         for (const auto& [name, tree] : trees) {
-            for (const double part : {0.0, 1.0 / 16, 1.0 / 8, 1.0 / 4, 1.0 / 2}) {
+            for (const double part : {0.0, 1.0 / 16, 1.0 / 8, 1.0 / 4}) {
                 Row best;
                 for (int repeat = 0; repeat < repeats; ++repeat) {
                     Row row;
@@ -230,7 +230,7 @@ int main(int argc, char** argv) {
         return exitCode(map.error().code);
     }
     std::vector<std::pair<const char*, DensityOptions>> kinds = {
-        {"all", {0.4, 0.0}}, {"od .4 z 8", {0.4, 8.0}}, {"od .8 z 16", {0.8, 16.0}}};
+        {"all", {}}, {"from level 1", {0.4, 8.0, 1}}};
     std::vector<DensityTree> trees;
     for (const auto& [name, options] : kinds) {
         const auto start = Clock::now();
@@ -242,10 +242,12 @@ int main(int argc, char** argv) {
         }
         std::printf("%s: %.0f ms, %.1f MB, slabs of levels", name, seconds * 1e3,
                     double(tree->memoryBytes()) * 1e-6);
-        for (const DensityLevel& level : tree->media().levels)
-            std::printf(
-                " %u (%.1f)", level.begin.back(),
-                double(level.begin.back()) / (double(level.width) * level.height));
+        for (const DensityLevel& level : tree->media().levels) {
+            if (level.begin.empty()) continue;
+            const double slabs = level.begin.back();
+            std::printf(" %.0f (%.1f)", slabs,
+                        slabs / (double(level.width) * level.height));
+        }
         std::printf("\n");
         trees.push_back(*std::move(tree));
     }
