@@ -194,8 +194,8 @@ void Kernel::setUp(const RayBundle& bundle, int b) {
                                     hn::Set(d, float(1.0 / p.scale.y)));
             x = hn::MulSub(x, w, hn::Mul(cx, dw));
             y = hn::MulSub(y, w, hn::Mul(cy, dw));
-            most16 =
-                hn::Mul(most16, hn::Sqrt(hn::MulAdd(cx, cx, hn::MulAdd(cy, cy, one))));
+            const auto centre = hn::Sqrt(hn::MulAdd(cx, cx, hn::MulAdd(cy, cy, one)));
+            most16 = hn::Mul(most16, hn::Min(centre, hn::Set(d, 1e6f)));
         }
         const auto size = hn::Sqrt(hn::MulAdd(x, x, hn::MulAdd(y, y, hn::Mul(dw, dw))));
         const auto way = hn::Div(size, hn::Abs(dw));

@@ -18,8 +18,10 @@ constexpr std::uint32_t kRowsPerTask = 16;
 /// What lies at one depth is given this length, of its w: enough for floats to tell parts
 /// of it, and far below a pixel's footprint.
 constexpr float kThinnest = 0x1p-16f;
-/// Surfaces are merged over this many texel footprints, at any depth.
-constexpr double kSurfaceLength = 2.0;
+/// A slab's depth is off by at most about this where a ray begins in it, or by a share of
+/// 1 / kMostPieces of its layer's.
+constexpr float kUneven = 0.004f;
+constexpr float kMostPieces = 64.0f;
 
 using Depths = std::array<float, 3>;  // [channel]
 
@@ -27,6 +29,11 @@ struct Slab {
     float low = 0.0f, high = 0.0f;
     Depths depth{};
 };
+
+/// The least length of a slab.
+float thinnest(float low) {
+    return std::max(kThinnest * std::abs(low), 1e-30f);
+}
 
 // The upper 16 bits of floats.
 std::uint32_t upperHalf(float x) {
@@ -47,7 +54,8 @@ struct PackedSlabs {
 
     /// Returns where the slab now ends.
     float add(const Slab& slab, std::uint32_t channels) {
-        const std::uint32_t length = upperHalfNotBelow(slab.high - slab.low);
+        const std::uint32_t length =
+            upperHalfNotBelow(std::max(slab.high - slab.low, thinnest(slab.low)));
         const float high = slab.low + fromUpperHalf(length);
         const float inverse = 1.0f / (high - slab.low);
         low.push_back(slab.low);
@@ -71,19 +79,32 @@ Slab unpack(const DensityLevel& level, std::uint32_t i, std::uint32_t channels) 
     return slab;
 }
 
-/// Slabs that join one another are merged up to these.
+/// Slabs that lie about one another are merged up to these.
 struct Limits {
     float depth = 0.0f;
     float length = 0.0f;    ///< w, or share of w
     bool relative = false;  ///< to w: a perspective view's footprint is a share of z
+    bool whole = false;     ///< slabs are not cut
     [[nodiscard]] float lengthAt(float w) const noexcept {
         return relative ? length * w : length;
     }
 };
 
-Limits limitsOf(const Projection& p, double depth, double length, std::uint32_t level) {
+/// Of slabs that are as deep as they may be: longer ones would be uneven in depth.
+constexpr double kMostOfDepth = 0.1;
+/// Slabs are cut to not less than this share of the longest they may be.
+constexpr float kShortestCut = 1.0f / 16;
+/// Surfaces are merged over this many texel footprints, at any depth.
+constexpr double kSurfaceLength = 2.0;
+
+Limits limitsOf(const Projection& p, const DensityOptions& options, bool surfaces,
+                std::uint32_t level) {
     const double texel = p.pixelFootprint(1.0) * double(std::uint64_t(1) << level);
-    return {float(depth), float(length * texel), p.kind == ProjectionKind::perspective};
+    const bool perspective = p.kind == ProjectionKind::perspective;
+    const double length = texel * (surfaces ? kSurfaceLength : options.length);
+    return {surfaces ? 8.0f * kDarkDepth : float(options.depth),
+            float(perspective ? std::min(length, kMostOfDepth) : length), perspective,
+            surfaces};
 }
 
 // --- a pixel's layers ------------------------------------------------------------------
@@ -138,8 +159,7 @@ class PixelSlabs {
         return between(straight(z), straight(z), depth);
     }
     static Slab between(float low, float high, Depths depth) {
-        const float thinnest = std::max(kThinnest * std::abs(low), 1e-30f);
-        return {low, std::max(high, low + thinnest), depth};
+        return {low, std::max(high, low + thinnest(low)), depth};
     }
 
     /// The samples of layer i: spread from the layer before to its own depth. Where they
@@ -164,8 +184,29 @@ class PixelSlabs {
         if (ends) out.push_back(at(pixel.z[i], end));
         if (!takes) return;
         const bool single = i == 0 || !pixel.n || pixel.n[i] == 1;
-        out.push_back(between(straight(pixel.z[i]),
-                              straight(single ? pixel.z[i] : pixel.z[i - 1]), depth));
+        spread(single ? pixel.z[i] : pixel.z[i - 1], pixel.z[i], depth, out);
+    }
+
+    /// Evenly from depth z0 to z1; a slab is even in 1/z instead, so a long layer becomes
+    /// several.
+    void spread(float z0, float z1, Depths depth, std::vector<Slab>& out) const {
+        std::uint32_t pieces = 1;
+        if (perspective_ && z1 > z0) {
+            const float thickest = std::max({depth[0], depth[1], depth[2]});
+            const float off = thickest * (z1 - z0) / (4.0f * z0);  // of one piece
+            pieces =
+                std::uint32_t(std::ceil(std::min(std::sqrt(off / kUneven), kMostPieces)));
+            pieces = std::max(pieces, 1u);
+        }
+        for (float& d : depth)
+            d /= float(pieces);
+        const float step = (z1 - z0) / float(pieces);
+        float low = straight(z1);
+        for (std::uint32_t k = pieces; k-- > 0;) {
+            const float high = straight(k > 0 ? z0 + step * float(k) : z0);
+            out.push_back(between(low, high, depth));
+            low = high;
+        }
     }
 
     const Projection& projection_;
@@ -186,68 +227,6 @@ float depthThatTakes(float taken) {
     if (taken > 0.0625f) return -std::log(1.0f - taken);
     return taken * (1.0f + taken * (0.5f + taken * (1.0f / 3 + taken * 0.25f)));
 }
-
-/// Merges slabs that come in order of their middle. Each belongs to one of `children`
-/// areas of equal size that lie beside one another.
-class Merger {
-  public:
-    Merger(std::uint32_t channels, Limits limits)
-        : channels_(channels), limits_(limits) {}
-
-    void begin(std::uint32_t children, std::vector<Slab>& out) {
-        children_ = children;
-        out_ = &out;
-        out.clear();
-        count_ = 0;
-    }
-    void add(const Slab& slab, std::uint32_t child) {
-        float thickest = slab.depth[0];
-        if (channels_ == 3) thickest = std::max({thickest, slab.depth[1], slab.depth[2]});
-        if (count_ > 0 && !fits(slab, thickest)) end();
-        if (count_++ == 0) {
-            low_ = slab.low;
-            high_ = slab.high;
-            depth_ = {};
-            thickest_ = 0.0f;
-        }
-        low_ = std::min(low_, slab.low);
-        high_ = std::max(high_, slab.high);
-        for (std::uint32_t c = 0; c < channels_; ++c)
-            depth_[child][c] += slab.depth[c];
-        thickest_ += thickest;
-    }
-    void end() {
-        if (count_ > 0) out_->push_back({low_, high_, merged()});
-        count_ = 0;
-    }
-
-  private:
-    [[nodiscard]] bool fits(const Slab& slab, float thickest) const {
-        const float low = std::min(low_, slab.low), high = std::max(high_, slab.high);
-        return high - low <= limits_.lengthAt(high) &&
-               thickest_ + thickest <= limits_.depth * float(children_);
-    }
-
-    /// The depth whose transmittance is the mean of the children's.
-    [[nodiscard]] Depths merged() const {
-        Depths result{};
-        for (std::uint32_t c = 0; c < channels_; ++c) {
-            float taken = 0.0f;
-            for (std::uint32_t k = 0; k < children_; ++k)
-                taken += takenBy(depth_[k][c]);
-            result[c] = depthThatTakes(taken / float(children_));
-        }
-        return result;
-    }
-
-    std::uint32_t channels_;
-    Limits limits_;
-    std::uint32_t children_ = 1;
-    std::vector<Slab>* out_ = nullptr;
-    std::uint32_t count_ = 0;  // slabs in what is open
-    float low_ = 0.0f, high_ = 0.0f, thickest_ = 0.0f;
-    std::array<Depths, 4> depth_{};  // [child][channel]
-};
 
 // --- levels ----------------------------------------------------------------------------
 
@@ -337,41 +316,148 @@ bool makePixels(const ShadowMap& map, std::uint32_t face, bool surfaces,
 
 /// Reads a texel's list from its front.
 struct ListReader {
-    const DensityLevel& level;
+    const DensityLevel* level;
     std::uint32_t channels, next, end;
-    Slab slab;                 // the first that was not taken
-    float middle = HUGE_VALF;  // twice the middle of it
+    Slab
+        slab;  // what is left of the first that was not taken; low is infinite at the end
 
     ListReader(const DensityLevel& from, std::uint32_t x, std::uint32_t y,
                std::uint32_t channelCount)
-        : level(from),
+        : level(&from),
           channels(channelCount),
           next(from.begin[std::size_t(y) * from.width + x]),
           end(from.begin[std::size_t(y) * from.width + x + 1]) {
         take();
     }
     void take() {
-        middle = HUGE_VALF;
-        if (next == end) return;
-        slab = unpack(level, next++, channels);
-        middle = slab.low + slab.high;
+        if (next < end)
+            slab = unpack(*level, next++, channels);
+        else
+            slab.low = HUGE_VALF;
+    }
+    [[nodiscard]] float length() const { return slab.high - slab.low; }
+    [[nodiscard]] float thickest() const {
+        return std::max({slab.depth[0], slab.depth[1], slab.depth[2]});
     }
 };
 
-/// Merges the lists of up to four texels below.
-void mergeLists(std::vector<ListReader>& lists, Merger& merger, std::vector<Slab>& out) {
-    merger.begin(std::uint32_t(lists.size()), out);
-    for (;;) {
-        std::uint32_t first = 0;
-        for (std::uint32_t k = 1; k < lists.size(); ++k) {
-            if (lists[k].middle < lists[first].middle) first = k;
+/// Merges the lists of up to four texels, whose areas are equal and beside one another.
+/// Where a slab of theirs is as deep or long as may be, all are cut.
+class Merger {
+  public:
+    Merger(std::uint32_t channels, Limits limits)
+        : channels_(channels), limits_(limits) {}
+
+    void merge(std::vector<ListReader>& lists, std::vector<Slab>& out) {
+        out.clear();
+        share_ = 1.0f / float(lists.size());
+        for (;;) {
+            float at = HUGE_VALF;
+            for (const ListReader& list : lists)
+                at = std::min(at, list.slab.low);
+            if (open_ && at >= end_) close(out);
+            if (at == HUGE_VALF) return;
+            if (!open_) begin(at);
+            if (!takeWhole(lists, at, out)) advance(lists, at, out);
         }
-        if (lists[first].middle == HUGE_VALF) break;
-        merger.add(lists[first].slab, first);
-        lists[first].take();
     }
-    merger.end();
-}
+
+  private:
+    void begin(float at) {
+        open_ = true;
+        low_ = high_ = at;
+        end_ = at + limits_.lengthAt(at);
+        shortest_ = kShortestCut * limits_.lengthAt(at);
+        depth_ = {};
+        thickest_ = 0.0f;
+    }
+
+    void close(std::vector<Slab>& out) {
+        Slab slab{low_, high_, {}};
+        // The depth whose transmittance is the mean of the children's.
+        for (std::uint32_t c = 0; c < channels_; ++c) {
+            float taken = 0.0f;
+            for (const Depths& child : depth_)
+                taken += takenBy(child[c]);
+            slab.depth[c] = depthThatTakes(taken * share_);
+        }
+        out.push_back(slab);
+        open_ = false;
+    }
+
+    /// If a slab that begins at `at` is not to be cut: takes all of it, or ends the one
+    /// that is open because it does not fit.
+    bool takeWhole(std::vector<ListReader>& lists, float at, std::vector<Slab>& out) {
+        for (std::size_t k = 0; k < lists.size(); ++k) {
+            ListReader& list = lists[k];
+            if (list.slab.low > at || !(limits_.whole || list.length() <= shortest_))
+                continue;
+            const float thickest = thickest_ + share_ * list.thickest();
+            if (high_ > low_ && (thickest > limits_.depth || list.slab.high > end_)) {
+                close(out);
+            } else {
+                add(list.slab, 1.0f, k);
+                list.take();
+            }
+            return true;
+        }
+        return false;
+    }
+
+    /// Takes what lies from `at` to where a list's slab begins or ends, or the one that
+    /// is open has to.
+    void advance(std::vector<ListReader>& lists, float at, std::vector<Slab>& out) {
+        float to = std::max(end_, at + shortest_), density = 0.0f;
+        for (const ListReader& list : lists) {
+            if (list.slab.low > at) {
+                to = std::min(to, list.slab.low);
+            } else {
+                to = std::min(to, list.slab.high);
+                density += share_ * list.thickest() / list.length();
+            }
+        }
+        const float left = std::max(limits_.depth - thickest_, 0.0f);
+        if (density * (to - at) > left)
+            to = std::min(to, at + std::max(left / density, shortest_));
+        for (std::size_t k = 0; k < lists.size(); ++k) {
+            ListReader& list = lists[k];
+            if (list.slab.low > at) continue;
+            // All of it, too, where floats do not tell the ends of the part.
+            const bool cut = to > at && to < list.slab.high;
+            const float part = cut ? (to - at) / list.length() : 1.0f;
+            Slab taken = list.slab;
+            taken.high = std::min(to, list.slab.high);
+            add(taken, part, k);
+            if (!cut) {
+                list.take();
+                continue;
+            }
+            list.slab.low = to;
+            for (float& d : list.slab.depth)
+                d *= 1.0f - part;
+        }
+        if (thickest_ >= 0.999f * limits_.depth || to >= end_) close(out);
+    }
+
+    void add(const Slab& slab, float part, std::size_t child) {
+        high_ = std::max(high_, slab.high);
+        float thickest = 0.0f;
+        for (std::uint32_t c = 0; c < channels_; ++c) {
+            depth_[child][c] += part * slab.depth[c];
+            thickest = std::max(thickest, part * slab.depth[c]);
+        }
+        thickest_ += share_ * thickest;
+    }
+
+    std::uint32_t channels_;
+    Limits limits_;
+    float share_ = 1.0f;  // of a child in the area
+    // The slab that is open: from low_ to high_ so far, to end_ at most. What its
+    // thickest channel has, mean over the children.
+    bool open_ = false;
+    float low_ = 0.0f, high_ = 0.0f, end_ = 0.0f, shortest_ = 0.0f, thickest_ = 0.0f;
+    std::array<Depths, 4> depth_{};  // [child][channel]
+};
 
 bool makeCoarser(const DensityLevel& fine, std::uint32_t channels, Limits limits,
                  DensityLevel& level) {
@@ -389,7 +475,7 @@ bool makeCoarser(const DensityLevel& fine, std::uint32_t channels, Limits limits
                          ++u)
                         lists.emplace_back(fine, u, v, channels);
                 }
-                mergeLists(lists, merger, merged);
+                merger.merge(lists, merged);
                 rows.append(merged, channels);
             }
         }
@@ -397,13 +483,8 @@ bool makeCoarser(const DensityLevel& fine, std::uint32_t channels, Limits limits
     return makeLevel(channels, level, make);
 }
 
-struct Merging {
-    double depth, length;
-    std::uint32_t finest;
-};
-
-bool makePyramid(const ShadowMap& map, std::uint32_t face, bool surfaces, Merging merging,
-                 DensityPyramid& pyramid) {
+bool makePyramid(const ShadowMap& map, std::uint32_t face, bool surfaces,
+                 const DensityOptions& options, DensityPyramid& pyramid) {
     const Projection& p = map.projection(face);
     pyramid.levels.emplace_back();
     if (!makePixels(map, face, surfaces, pyramid.levels[0])) return false;
@@ -415,9 +496,9 @@ bool makePyramid(const ShadowMap& map, std::uint32_t face, bool surfaces, Mergin
          pyramid.levels.back().width > 1 || pyramid.levels.back().height > 1; ++i) {
         DensityLevel level;
         if (!makeCoarser(pyramid.levels.back(), map.info().channels,
-                         limitsOf(p, merging.depth, merging.length, i), level))
+                         limitsOf(p, options, surfaces, i), level))
             return false;
-        if (i <= merging.finest) pyramid.levels.back() = {};
+        if (i <= options.finest) pyramid.levels.back() = {};
         pyramid.levels.push_back(std::move(level));
     }
     pyramid.low = pyramid.levels.back().low[0];
@@ -453,12 +534,10 @@ Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
     tree.height_ = map.info().height;
     const auto coarsest =
         std::uint32_t(std::bit_width(std::max(tree.width_, tree.height_) - 1));
-    tree.finest_ = std::min(options.finest, coarsest);
-    // Surfaces are merged whatever their depth.
-    if (!makePyramid(map, face, false, {options.depth, options.length, tree.finest_},
-                     tree.media_) ||
-        !makePyramid(map, face, true, {8.0 * kDarkDepth, kSurfaceLength, tree.finest_},
-                     tree.surfaces_))
+    DensityOptions present = options;
+    present.finest = tree.finest_ = std::min(options.finest, coarsest);
+    if (!makePyramid(map, face, false, present, tree.media_) ||
+        !makePyramid(map, face, true, present, tree.surfaces_))
         return base::makeError(ErrorCode::tooLarge, "face ", face,
                                " has too many layers for a density tree: bake with a "
                                "larger tolerance or fewer layers");
