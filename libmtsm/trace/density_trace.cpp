@@ -2,6 +2,7 @@
 #include "trace/density_trace.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 
 #undef HWY_TARGET_INCLUDE
@@ -35,6 +36,7 @@ struct March {
     alignas(64) float perTexel[kLanes];  // s at which a texel may be one pixel
     alignas(64) float stretch[kLanes];
     std::uint32_t open = 0;
+    std::uint32_t met = 0;  // rays that have sums
     Hits media, surfaces;
     /// [channel][ray][a vector's lanes]: sums over the slabs of the level.
     alignas(64) float sum[3][kLanes][kLanes], surfaceSum[3][kLanes][kLanes];
@@ -81,7 +83,7 @@ class Kernel {
             std::max(tree_.media().levels.size(), tree_.surfaces().levels.size());
         for (std::size_t level = tree_.finest(); level < levels && march_.open; ++level) {
             const bool last = level + 1 == levels;
-            if (!walk(int(level), last)) continue;
+            walk(int(level), last);
             settle(b, depths);
         }
         // What reached the dark in this face or before is closed.
@@ -91,8 +93,8 @@ class Kernel {
   private:
     /// Rays into march_, cut to where something may be met.
     void setUp(const RayBundle& bundle, int b);
-    /// Walks the rays through one level; false if none is in it.
-    bool walk(int level, bool last);
+    /// Walks the rays through one level.
+    void walk(int level, bool last);
     /// Answers what waits.
     void answer(const DensityPyramid& pyramid, int level, Hits& hits,
                 float (*sum)[kLanes][kLanes]);
@@ -218,7 +220,7 @@ void Kernel::setUp(const RayBundle& bundle, int b) {
     }
 }
 
-bool Kernel::walk(int level, bool last) {
+void Kernel::walk(int level, bool last) {
     const Floats d;
     const Ints di;
     const int lanes = int(hn::Lanes(d));
@@ -229,10 +231,9 @@ bool Kernel::walk(int level, bool last) {
     const DensityLevel* surfaces = levelOf(tree_.surfaces());
     const DensityLevel& texels = media ? *media : *surfaces;
     const float side = std::ldexp(1.0f, level);
-    const auto zero = hn::Zero(d), nothing = hn::Zero(d);
+    const auto zero = hn::Zero(d);
     const auto width = hn::Set(di, std::int32_t(texels.width));
     const auto height = hn::Set(di, std::int32_t(texels.height));
-    bool any = false;
     std::uint32_t ahead = 0;  // rays that go on behind this level
 
     for (int i = 0; i < kLanes; i += lanes) {
@@ -247,16 +248,6 @@ bool Kernel::walk(int level, bool last) {
         ahead |= bitsOf(d, hn::And(alive, hn::Lt(end, rayEnd))) << i;
         alive = hn::And(alive, hn::Lt(s, end));
         if (hn::AllFalse(d, alive)) continue;
-        if (!any) {
-            any = true;
-            for (std::uint32_t c = 0; c < tree_.channels(); ++c) {
-                for (int r = 0; r < kLanes; ++r) {
-                    hn::Store(nothing, d, march_.sum[c][r]);
-                    hn::Store(nothing, d, march_.surfaceSum[c][r]);
-                }
-            }
-        }
-
         const auto u = hn::Load(d, march_.u + i), v = hn::Load(d, march_.v + i),
                    w = hn::Load(d, march_.w + i);
         const auto du = hn::Load(d, march_.du + i), dv = hn::Load(d, march_.dv + i),
@@ -297,12 +288,13 @@ bool Kernel::walk(int level, bool last) {
             const auto sNext = hn::Max(s, hn::Min(end, hn::Min(nextU, nextV)));
             const auto texel = hn::IfThenElseZero(hn::RebindMask(di, alive),
                                                   hn::Add(hn::Mul(y, width), x));
+            const auto word = hn::ShiftLeft<2>(texel);  // of texels
             const auto wa = hn::MulAdd(s, dw, w), wb = hn::MulAdd(sNext, dw, w);
             if (media) {
                 const auto low = hn::Min(wa, wb), high = hn::Max(wa, wb);
-                const auto meets =
-                    hn::And(hn::Lt(low, hn::GatherIndex(d, media->high.data(), texel)),
-                            hn::Gt(high, hn::GatherIndex(d, media->low.data(), texel)));
+                const auto meets = hn::And(
+                    hn::Lt(low, hn::GatherIndex(d, &media->texels[0].high, word)),
+                    hn::Gt(high, hn::GatherIndex(d, &media->texels[0].low, word)));
                 push(march_.media, low, high, texel, i, hn::And(alive, meets));
                 if (march_.media.count > Hits::kRoom)
                     answer(tree_.media(), level, march_.media, march_.sum);
@@ -313,8 +305,8 @@ bool Kernel::walk(int level, bool last) {
                 auto low = hn::Min(wc, wb), high = hn::Max(wc, wb);
                 widen(low, high);
                 const auto meets = hn::And(
-                    hn::Lt(low, hn::GatherIndex(d, surfaces->high.data(), texel)),
-                    hn::Gt(high, hn::GatherIndex(d, surfaces->low.data(), texel)));
+                    hn::Lt(low, hn::GatherIndex(d, &surfaces->texels[0].high, word)),
+                    hn::Gt(high, hn::GatherIndex(d, &surfaces->texels[0].low, word)));
                 push(march_.surfaces, low, high, texel, i,
                      hn::And(hn::And(alive, meets), hn::Lt(from, sNext)));
                 if (march_.surfaces.count > Hits::kRoom)
@@ -338,14 +330,9 @@ bool Kernel::walk(int level, bool last) {
             if (hn::AllFalse(d, alive)) break;
         }
     }
-    if (!any) {
-        march_.open &= ahead;
-        return false;
-    }
     answer(tree_.media(), level, march_.media, march_.sum);
     answer(tree_.surfaces(), level, march_.surfaces, march_.surfaceSum);
     march_.open &= ahead;
-    return true;
 }
 
 void Kernel::answer(const DensityPyramid& pyramid, int level, Hits& hits,
@@ -354,32 +341,39 @@ void Kernel::answer(const DensityPyramid& pyramid, int level, Hits& hits,
     const Floats d;
     const std::uint32_t lanes = std::uint32_t(hn::Lanes(d));
     const DensityLevel& texels = pyramid.levels[std::size_t(level)];
-    const float* slabLow = texels.slabLow.data();
-    const std::uint32_t* first = texels.lengthAndDensity.data();
-    const std::uint32_t* others = texels.otherDensities.data();
     const hn::RebindToUnsigned<Floats> du;
     const auto upper = hn::Set(du, 0xffff0000u);
     const std::uint32_t channels = tree_.channels();
     for (int h = 0; h < hits.count; ++h) {
-        const std::uint32_t* begin = texels.begin.data() + hits.texel[h];
+        const DensityTexel texel = texels.texels[std::size_t(hits.texel[h])];
+        const std::uint32_t* list = texels.slabs.data() + texel.begin;
         const auto low = hn::Set(d, hits.low[h]), high = hn::Set(d, hits.high[h]);
         const int ray = hits.ray[h];
-        for (std::uint32_t k = begin[0]; k < begin[1]; k += lanes) {
-            const auto slab = hn::LoadU(d, slabLow + k);
-            const auto bits = hn::LoadU(du, first + k);
+        if (!(march_.met >> ray & 1u)) {
+            march_.met |= 1u << ray;
+            for (std::uint32_t c = 0; c < channels; ++c) {
+                hn::Store(hn::Zero(d), d, march_.sum[c][ray]);
+                hn::Store(hn::Zero(d), d, march_.surfaceSum[c][ray]);
+            }
+        }
+        for (std::uint32_t k = 0; k < texel.count; k += lanes) {
+            const std::uint32_t* at = list + k;
+            const auto valid = hn::FirstN(du, texel.count - k);
+            const auto slab =
+                hn::BitCast(d, hn::IfThenElseZero(valid, hn::LoadU(du, at)));
+            const auto bits = hn::IfThenElseZero(valid, hn::LoadU(du, at += texel.count));
             const auto length = hn::BitCast(d, hn::And(bits, upper));
             const auto from = hn::Max(low, slab);
             const auto to = hn::Min(high, hn::Add(slab, length));
-            auto within = hn::Max(hn::Sub(to, from), hn::Zero(d));
-            if (begin[1] - k < lanes)
-                within = hn::IfThenElseZero(hn::FirstN(d, begin[1] - k), within);
-            const auto add = [&](auto density, float* at) {
-                hn::Store(hn::MulAdd(within, hn::BitCast(d, density), hn::Load(d, at)), d,
-                          at);
+            const auto within = hn::Max(hn::Sub(to, from), hn::Zero(d));
+            const auto add = [&](auto density, float* total) {
+                hn::Store(hn::MulAdd(within, hn::BitCast(d, density), hn::Load(d, total)),
+                          d, total);
             };
             add(hn::ShiftLeft<16>(bits), sum[0][ray]);
             if (channels == 3) {
-                const auto other = hn::LoadU(du, others + k);
+                const auto other =
+                    hn::IfThenElseZero(valid, hn::LoadU(du, at + texel.count));
                 add(hn::And(other, upper), sum[1][ray]);
                 add(hn::ShiftLeft<16>(other), sum[2][ray]);
             }
@@ -390,7 +384,8 @@ void Kernel::answer(const DensityPyramid& pyramid, int level, Hits& hits,
 
 void Kernel::settle(int b, RayDepths& depths) {
     const Floats d;
-    for (int ray = 0; ray < kLanes; ++ray) {
+    for (std::uint32_t left = march_.met; left != 0; left &= left - 1) {
+        const int ray = std::countr_zero(left);
         bool dark = true;
         for (std::uint32_t c = 0; c < tree_.channels(); ++c) {
             const float media =
@@ -404,6 +399,7 @@ void Kernel::settle(int b, RayDepths& depths) {
         if (dark) dark_ |= 1u << ray;
     }
     march_.open &= ~dark_;
+    march_.met = 0;
 }
 
 void traceDensityAt(const DensityTree& tree, const DensityTraceOptions& options,

@@ -15,6 +15,8 @@ namespace mtsm::trace {
 namespace {
 
 constexpr std::uint32_t kRowsPerTask = 16;
+/// Vectors index the words of texels by 31 bits.
+constexpr std::uint64_t kMostTexels = std::uint64_t(1) << 28;
 /// What lies at one depth is given this length, of its w: enough for floats to tell parts
 /// of it, and far below a pixel's footprint.
 constexpr float kThinnest = 0x1p-16f;
@@ -47,34 +49,46 @@ float fromUpperHalf(std::uint32_t bits) {
     return std::bit_cast<float>(bits << 16);
 }
 
-/// Slabs as a level keeps them.
-struct PackedSlabs {
-    std::vector<float> low;
-    std::vector<std::uint32_t> lengthAndDensity, otherDensities;
+/// Words of a slab.
+std::size_t wordsOf(std::uint32_t channels) {
+    return channels == 3 ? 3 : 2;
+}
 
-    /// Returns where the slab now ends.
-    float add(const Slab& slab, std::uint32_t channels) {
+/// Appends a list of slabs as a level keeps it; says where they lie.
+DensityTexel pack(const std::vector<Slab>& list, std::uint32_t channels,
+                  std::vector<std::uint32_t>& out) {
+    const std::size_t begin = out.size(), n = list.size();
+    DensityTexel texel{HUGE_VALF, -HUGE_VALF, 0, std::uint32_t(n)};
+    out.resize(begin + n * wordsOf(channels));
+    for (std::size_t i = 0; i < n; ++i) {
+        const Slab& slab = list[i];
+        std::uint32_t* to = out.data() + begin + i;
         const std::uint32_t length =
             upperHalfNotBelow(std::max(slab.high - slab.low, thinnest(slab.low)));
         const float high = slab.low + fromUpperHalf(length);
         const float inverse = 1.0f / (high - slab.low);
-        low.push_back(slab.low);
-        lengthAndDensity.push_back(length << 16 | upperHalf(slab.depth[0] * inverse));
+        to[0] = std::bit_cast<std::uint32_t>(slab.low);
+        to[n] = length << 16 | upperHalf(slab.depth[0] * inverse);
         if (channels == 3)
-            otherDensities.push_back(upperHalf(slab.depth[1] * inverse) << 16 |
-                                     upperHalf(slab.depth[2] * inverse));
-        return high;
+            to[2 * n] = upperHalf(slab.depth[1] * inverse) << 16 |
+                        upperHalf(slab.depth[2] * inverse);
+        texel.low = std::min(texel.low, slab.low);
+        texel.high = std::max(texel.high, high);
     }
-};
+    return texel;
+}
 
-Slab unpack(const DensityLevel& level, std::uint32_t i, std::uint32_t channels) {
-    const std::uint32_t bits = level.lengthAndDensity[i];
-    const float low = level.slabLow[i], high = low + fromUpperHalf(bits >> 16);
-    const float length = high - low;
+Slab unpack(const DensityLevel& level, const DensityTexel& texel, std::uint32_t i,
+            std::uint32_t channels) {
+    const std::uint32_t* from = level.slabs.data() + texel.begin + i;
+    const std::uint32_t bits = from[texel.count];
+    const float low = std::bit_cast<float>(from[0]);
+    const float high = low + fromUpperHalf(bits >> 16), length = high - low;
     Slab slab{low, high, {fromUpperHalf(bits & 0xffffu) * length, 0.0f, 0.0f}};
     if (channels == 3) {
-        slab.depth[1] = fromUpperHalf(level.otherDensities[i] >> 16) * length;
-        slab.depth[2] = fromUpperHalf(level.otherDensities[i] & 0xffffu) * length;
+        const std::uint32_t other = from[2 * std::size_t(texel.count)];
+        slab.depth[1] = fromUpperHalf(other >> 16) * length;
+        slab.depth[2] = fromUpperHalf(other & 0xffffu) * length;
     }
     return slab;
 }
@@ -230,56 +244,34 @@ float depthThatTakes(float taken) {
 
 // --- levels ----------------------------------------------------------------------------
 
-/// Some rows of texels, one list of slabs after another.
+/// Some rows of texels.
 struct Rows {
-    std::vector<float> low, high;       // [texel]
-    std::vector<std::uint32_t> counts;  // [texel]
-    PackedSlabs slabs;
+    std::vector<DensityTexel> texels;  // `begin` is not known yet
+    std::vector<std::uint32_t> slabs;
 
     void append(const std::vector<Slab>& list, std::uint32_t channels) {
-        float from = HUGE_VALF, to = -HUGE_VALF;
-        for (const Slab& slab : list) {
-            from = std::min(from, slab.low);
-            to = std::max(to, slabs.add(slab, channels));
-        }
-        low.push_back(from);
-        high.push_back(to);
-        counts.push_back(std::uint32_t(list.size()));
+        texels.push_back(pack(list, channels, slabs));
     }
 };
 
-template <typename T>
-void put(const std::vector<T>& from, std::vector<T>& to, std::size_t at) {
-    std::copy(from.begin(), from.end(), to.begin() + std::ptrdiff_t(at));
-}
-
-/// Puts the rows of all tasks together; false if there are too many slabs.
+/// Puts the rows of all tasks together; false if they are too much.
 bool assemble(std::vector<Rows>& tasks, std::uint32_t channels, DensityLevel& level) {
-    const std::size_t texels = std::size_t(level.width) * level.height;
     std::vector<std::uint64_t> first(tasks.size() + 1, 0);
     for (std::size_t t = 0; t < tasks.size(); ++t)
-        first[t + 1] = first[t] + tasks[t].slabs.low.size();
+        first[t + 1] = first[t] + tasks[t].slabs.size();
     if (first.back() > std::numeric_limits<std::uint32_t>::max() - kLanes) return false;
-    const std::size_t room = first.back() + kLanes;
-    level.low.resize(texels);
-    level.high.resize(texels);
-    level.begin.resize(texels + 1);
-    level.begin[texels] = std::uint32_t(first.back());
-    level.slabLow.resize(room);
-    level.lengthAndDensity.resize(room);
-    if (channels == 3) level.otherDensities.resize(room);
+    level.texels.resize(std::size_t(level.width) * level.height);
+    level.slabs.resize(first.back() + kLanes);
     base::parallelFor(std::size_t(0), tasks.size(), [&](std::size_t task) {
         Rows& rows = tasks[task];
-        std::size_t texel = task * kRowsPerTask * level.width;
-        put(rows.low, level.low, texel);
-        put(rows.high, level.high, texel);
-        put(rows.slabs.low, level.slabLow, first[task]);
-        put(rows.slabs.lengthAndDensity, level.lengthAndDensity, first[task]);
-        put(rows.slabs.otherDensities, level.otherDensities, first[task]);
+        std::copy(rows.slabs.begin(), rows.slabs.end(),
+                  level.slabs.begin() + std::ptrdiff_t(first[task]));
         std::uint64_t begin = first[task];
-        for (const std::uint32_t count : rows.counts) {
-            level.begin[texel++] = std::uint32_t(begin);
-            begin += count;
+        std::size_t to = task * kRowsPerTask * level.width;
+        for (DensityTexel texel : rows.texels) {
+            texel.begin = std::uint32_t(begin);
+            begin += texel.count * wordsOf(channels);
+            level.texels[to++] = texel;
         }
         rows = {};
     });
@@ -317,21 +309,21 @@ bool makePixels(const ShadowMap& map, std::uint32_t face, bool surfaces,
 /// Reads a texel's list from its front.
 struct ListReader {
     const DensityLevel* level;
-    std::uint32_t channels, next, end;
+    const DensityTexel* texel;
+    std::uint32_t channels, next = 0;
     Slab
         slab;  // what is left of the first that was not taken; low is infinite at the end
 
     ListReader(const DensityLevel& from, std::uint32_t x, std::uint32_t y,
                std::uint32_t channelCount)
         : level(&from),
-          channels(channelCount),
-          next(from.begin[std::size_t(y) * from.width + x]),
-          end(from.begin[std::size_t(y) * from.width + x + 1]) {
+          texel(&from.texels[std::size_t(y) * from.width + x]),
+          channels(channelCount) {
         take();
     }
     void take() {
-        if (next < end)
-            slab = unpack(*level, next++, channels);
+        if (next < texel->count)
+            slab = unpack(*level, *texel, next++, channels);
         else
             slab.low = HUGE_VALF;
     }
@@ -488,7 +480,7 @@ bool makePyramid(const ShadowMap& map, std::uint32_t face, bool surfaces,
     const Projection& p = map.projection(face);
     pyramid.levels.emplace_back();
     if (!makePixels(map, face, surfaces, pyramid.levels[0])) return false;
-    if (pyramid.levels[0].begin.back() == 0) {
+    if (pyramid.levels[0].slabs.size() == kLanes) {
         pyramid = {};
         return true;
     }
@@ -501,22 +493,16 @@ bool makePyramid(const ShadowMap& map, std::uint32_t face, bool surfaces,
         if (i <= options.finest) pyramid.levels.back() = {};
         pyramid.levels.push_back(std::move(level));
     }
-    pyramid.low = pyramid.levels.back().low[0];
-    pyramid.high = pyramid.levels.back().high[0];
+    pyramid.low = pyramid.levels.back().texels[0].low;
+    pyramid.high = pyramid.levels.back().texels[0].high;
     return true;
-}
-
-template <typename T>
-std::uint64_t bytesOf(const std::vector<T>& plane) {
-    return plane.size() * sizeof(T);
 }
 
 std::uint64_t bytesOf(const DensityPyramid& pyramid) {
     std::uint64_t bytes = 0;
-    for (const DensityLevel& l : pyramid.levels)
-        bytes += bytesOf(l.low) + bytesOf(l.high) + bytesOf(l.begin) +
-                 bytesOf(l.slabLow) + bytesOf(l.lengthAndDensity) +
-                 bytesOf(l.otherDensities);
+    for (const DensityLevel& level : pyramid.levels)
+        bytes += level.texels.size() * sizeof(DensityTexel) +
+                 level.slabs.size() * sizeof(std::uint32_t);
     return bytes;
 }
 
@@ -536,11 +522,13 @@ Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
         std::uint32_t(std::bit_width(std::max(tree.width_, tree.height_) - 1));
     DensityOptions present = options;
     present.finest = tree.finest_ = std::min(options.finest, coarsest);
-    if (!makePyramid(map, face, false, present, tree.media_) ||
+    const bool indexable = std::uint64_t(tree.width_) * tree.height_ <= kMostTexels;
+    if (!indexable || !makePyramid(map, face, false, present, tree.media_) ||
         !makePyramid(map, face, true, present, tree.surfaces_))
-        return base::makeError(ErrorCode::tooLarge, "face ", face,
-                               " has too many layers for a density tree: bake with a "
-                               "larger tolerance or fewer layers");
+        return base::makeError(
+            ErrorCode::tooLarge, "face ", face,
+            " has too many pixels or layers for a density tree: bake with a "
+            "lower resolution or a larger tolerance");
     return tree;
 }
 

@@ -34,7 +34,7 @@ struct DensityOptions {
     /// Slabs are merged up to this optical depth, and to this length in footprints of the
     /// level's texels.
     double depth = 0.4;
-    double length = 8.0;
+    double length = 4.0;
     /// Levels below are left out: 1 takes a fifth of the memory of 0 for fur, for rays
     /// whose way near the receiver is answered from elsewhere.
     std::uint32_t finest = 0;
@@ -44,21 +44,24 @@ struct DensityOptions {
 /// of it are numbers.
 inline constexpr float kDarkDepth = 1000.0f;
 
-/// One resolution: row-major texels.
+/// A list of slabs, and the w between which all of them lie: (inf, -inf) without slabs.
+struct DensityTexel {
+    float low = 0.0f, high = 0.0f;
+    std::uint32_t begin = 0, count = 0;  ///< where the list is in DensityLevel::slabs
+};
+
+/// One resolution. Texels are row-major. The list of n slabs that begins at word b is in
+/// three parts, so that a vector holds one of many:
+/// - b .. b + n: where slabs begin, floats, ascending;
+/// - the next n: two numbers each, the upper 16 bits of floats: the length (upper half;
+///   > 0) and the optical depth of channel 0 per unit of w (>= 0). What lies between low
+///   and low + length, as floats add, is the slab;
+/// - in maps of three channels another n: the same of channels 1 (upper half) and 2.
+/// A vector's room of words lies behind the last list.
 struct DensityLevel {
     std::uint32_t width = 0, height = 0;
-    /// [texel]: the w between which all its slabs lie; (inf, -inf) without slabs.
-    std::vector<float> low, high;
-    /// [texels + 1]: texel t has slabs [begin[t], begin[t + 1]), about in order of w.
-    std::vector<std::uint32_t> begin;
-    /// [slabs + kLanes]: readable a vector beyond the end. A slab lies between low and
-    /// low + length.
-    std::vector<float> slabLow;
-    /// [slabs + kLanes]: two numbers, each the upper 16 bits of a float: the length
-    /// (upper half; > 0) and what channel 0 has of optical depth per unit of w (>= 0).
-    std::vector<std::uint32_t> lengthAndDensity;
-    /// The same for channels 1 (upper half) and 2, of maps that have them.
-    std::vector<std::uint32_t> otherDensities;
+    std::vector<DensityTexel> texels;
+    std::vector<std::uint32_t> slabs;
 };
 
 /// From level `finest` to one of a single texel.
@@ -71,8 +74,8 @@ struct DensityPyramid {
 class DensityTree {
   public:
     /// The face of a map of media. Errors: badArgument if the map is one of sheets,
-    /// tooLarge if a level has 2^32 slabs or more. Time and memory are linear in the
-    /// number of layers and pixels.
+    /// tooLarge if it has more than 16384 x 16384 pixels or a level's slabs take more
+    /// than 16 GB. Time and memory are linear in the number of layers and pixels.
     [[nodiscard]] static Result<DensityTree> build(const ShadowMap& map,
                                                    std::uint32_t face,
                                                    const DensityOptions& options = {});

@@ -552,11 +552,15 @@ TEST_CASE("a density tree is the same for any number of threads", "[trace]") {
             const auto& b = (one.*pyramid)().levels;
             REQUIRE(a.size() == b.size());
             for (std::size_t i = 0; i < a.size(); ++i) {
-                CHECK(a[i].begin == b[i].begin);
-                CHECK(a[i].slabLow == b[i].slabLow);
-                CHECK(a[i].lengthAndDensity == b[i].lengthAndDensity);
-                CHECK(a[i].low == b[i].low);
-                CHECK(a[i].high == b[i].high);
+                CHECK(a[i].slabs == b[i].slabs);
+                REQUIRE(a[i].texels.size() == b[i].texels.size());
+                bool same = true;
+                for (std::size_t t = 0; t < a[i].texels.size(); ++t) {
+                    const DensityTexel &x = a[i].texels[t], &y = b[i].texels[t];
+                    same = same && x.low == y.low && x.high == y.high &&
+                           x.begin == y.begin && x.count == y.count;
+                }
+                CHECK(same);
             }
         }
     });
