@@ -24,7 +24,13 @@ struct Hits {
     static constexpr int kRoom = 128;
     int count = 0;
     alignas(64) std::int32_t texel[kRoom + kLanes], ray[kRoom + kLanes];
+    /// w: of media and surfaces the lower and the higher end of the way through the
+    /// texel; of sheets where the ray enters and where it leaves.
     alignas(64) float low[kRoom + kLanes], high[kRoom + kLanes];
+    /// Of sheets: the bias there and where the ray goes on, w; how many texels the ray
+    /// has been in.
+    alignas(64) float bias[kRoom + kLanes], nextBias[kRoom + kLanes];
+    alignas(64) std::int32_t step[kRoom + kLanes];
 };
 
 /// Sixteen rays on their way: one block.
@@ -37,9 +43,14 @@ struct March {
     alignas(64) float stretch[kLanes];
     std::uint32_t open = 0;
     std::uint32_t met = 0;  // rays that have sums
-    Hits media, surfaces;
+    Hits translucent, surfaces;
     /// [channel][ray][a vector's lanes]: sums over the slabs of the level.
     alignas(64) float sum[3][kLanes][kLanes], surfaceSum[3][kLanes][kLanes];
+    /// Sheets: texels that a ray has been in, with sheets near by the last time; and what
+    /// it has paid of those near where it left that one.
+    alignas(64) std::int32_t steps[kLanes];
+    std::int32_t lastStep[kLanes];
+    float paid[3][kLanes];
 };
 
 template <class M>
@@ -75,12 +86,13 @@ class Kernel {
     Kernel(const DensityTree& tree, const DensityTraceOptions& options)
         : tree_(tree),
           options_(options),
-          perspective_(tree.projection().kind == ProjectionKind::perspective) {}
+          perspective_(tree.projection().kind == ProjectionKind::perspective),
+          sheets_(tree.isOfSheets()) {}
 
     void block(RayBundle& bundle, int b, RayDepths& depths) {
         setUp(bundle, b);
         const std::size_t levels =
-            std::max(tree_.media().levels.size(), tree_.surfaces().levels.size());
+            std::max(tree_.translucent().levels.size(), tree_.surfaces().levels.size());
         for (std::size_t level = tree_.finest(); level < levels && march_.open; ++level) {
             const bool last = level + 1 == levels;
             walk(int(level), last);
@@ -98,6 +110,9 @@ class Kernel {
     /// Answers what waits.
     void answer(const DensityPyramid& pyramid, int level, Hits& hits,
                 float (*sum)[kLanes][kLanes]);
+    void answerSheets(int level);
+    /// Makes room for what a ray meets in a level.
+    void beginSums(int ray);
     /// Adds the sums of a level to the depths.
     void settle(int b, RayDepths& depths);
 
@@ -114,14 +129,14 @@ class Kernel {
         hits.count += int(hn::CountTrue(d, mask));
     }
 
-    /// [low, high] widened by the bias of surfaces.
+    /// [low, high] widened by a multiple of the bias.
     template <class V>
-    void widen(V& low, V& high) const {
+    void widen(V& low, V& high, V times) const {
         const Floats d;
         const V base = hn::Set(d, float(options_.bias.base));
         const V perDepth = hn::Set(d, float(options_.bias.perDepth));
         if (!perspective_) {
-            const V bias = hn::MulAdd(perDepth, hn::Abs(low), base);
+            const V bias = hn::Mul(times, hn::MulAdd(perDepth, hn::Abs(low), base));
             low = hn::Sub(low, bias);
             high = hn::Add(high, bias);
             return;
@@ -129,14 +144,27 @@ class Kernel {
         const V least = hn::Set(d, 1e-25f), one = hn::Set(d, 1.0f);
         const V far = hn::Div(one, hn::Max(low, least));
         const V near = hn::Div(one, hn::Max(high, least));
-        const V bias = hn::MulAdd(perDepth, far, base);
+        const V bias = hn::Mul(times, hn::MulAdd(perDepth, far, base));
         low = hn::Div(one, hn::Add(far, bias));
         high = hn::Div(one, hn::Max(hn::Sub(near, bias), least));
     }
 
+    /// The bias of sheets somewhere in [low, high], w, for texels of `side` pixels: what
+    /// closes a tilted sheet grows with them.
+    template <class V>
+    V biasAt(V low, V high, V side) const {
+        const Floats d;
+        const V base = hn::Set(d, float(options_.bias.base));
+        const V perDepth = hn::Set(d, float(options_.bias.perDepth));
+        if (!perspective_) return hn::Mul(side, hn::MulAdd(perDepth, hn::Abs(low), base));
+        const V far = hn::Div(hn::Set(d, 1.0f), hn::Max(low, hn::Set(d, 1e-25f)));
+        const V bias = hn::Mul(side, hn::MulAdd(perDepth, far, base));
+        return hn::Min(hn::Mul(hn::Mul(bias, low), high), hn::Set(d, 1e30f));
+    }
+
     const DensityTree& tree_;
     const DensityTraceOptions& options_;
-    bool perspective_;
+    bool perspective_, sheets_;
     std::uint32_t dark_ = 0;
     March march_;
 };
@@ -145,19 +173,6 @@ void Kernel::setUp(const RayBundle& bundle, int b) {
     const Floats d;
     const int lanes = int(hn::Lanes(d));
     const Projection& p = tree_.projection();
-    // Between these w something may be met.
-    float low = HUGE_VALF, high = -HUGE_VALF;
-    if (!tree_.media().empty()) {
-        low = tree_.media().low;
-        high = tree_.media().high;
-    }
-    if (!tree_.surfaces().empty()) {
-        auto from = hn::Set(d, tree_.surfaces().low);
-        auto to = hn::Set(d, tree_.surfaces().high);
-        widen(from, to);
-        low = std::min(low, hn::GetLane(from));
-        high = std::max(high, hn::GetLane(to));
-    }
     march_.open = 0;
     dark_ = 0;
     for (int i = 0; i < kLanes; i += lanes) {
@@ -176,13 +191,24 @@ void Kernel::setUp(const RayBundle& bundle, int b) {
         open = hn::And(open, hn::Ge(beginSurfaces, hn::Neg(most)));
         begin = hn::Max(begin, zero);
         beginSurfaces = hn::Max(beginSurfaces, zero);
-        if (tree_.media().empty()) begin = hn::Max(begin, beginSurfaces);
+        if (tree_.translucent().empty()) begin = hn::Max(begin, beginSurfaces);
         if (!tree_.surfaces().empty()) begin = hn::Min(begin, beginSurfaces);
         auto end = one;
         const auto inverseU = inverse(d, du), inverseV = inverse(d, dv);
         clip(u, inverseU, zero, hn::Set(d, float(tree_.width())), begin, end);
         clip(v, inverseV, zero, hn::Set(d, float(tree_.height())), begin, end);
-        clip(w, inverse(d, dw), hn::Set(d, low), hn::Set(d, high), begin, end);
+        auto low = hn::Set(d, HUGE_VALF), high = hn::Set(d, -HUGE_VALF);
+        const auto include = [&](const DensityPyramid& pyramid, auto biases) {
+            auto from = hn::Set(d, pyramid.low), to = hn::Set(d, pyramid.high);
+            widen(from, to, biases);
+            low = hn::Min(low, from);
+            high = hn::Max(high, to);
+        };
+        if (!tree_.translucent().empty())
+            include(tree_.translucent(),
+                    sheets_ ? hn::Mul(hn::Set(d, 2.0f), hn::Max(texel, one)) : zero);
+        if (!tree_.surfaces().empty()) include(tree_.surfaces(), one);
+        clip(w, inverse(d, dw), low, high, begin, end);
         open = hn::And(open, hn::Lt(begin, end));
 
         // Way per unit of depth: of d(x, y, z) / ds, z^2 taken out.
@@ -217,6 +243,11 @@ void Kernel::setUp(const RayBundle& bundle, int b) {
         hn::Store(inverse(d, texel), d, march_.perTexel + i);
         hn::Store(stretch, d, march_.stretch + i);
         march_.open |= bitsOf(d, open) << i;
+        if (!sheets_) continue;
+        hn::Store(one, d, march_.stretch + i);
+        hn::Store(hn::Zero(Ints()), Ints(), march_.steps + i);
+        for (int r = i; r < i + lanes; ++r)
+            march_.lastStep[r] = -2;
     }
 }
 
@@ -227,9 +258,9 @@ void Kernel::walk(int level, bool last) {
     const auto levelOf = [&](const DensityPyramid& p) -> const DensityLevel* {
         return p.empty() ? nullptr : &p.levels[std::size_t(level)];
     };
-    const DensityLevel* media = levelOf(tree_.media());
+    const DensityLevel* translucent = levelOf(tree_.translucent());
     const DensityLevel* surfaces = levelOf(tree_.surfaces());
-    const DensityLevel& texels = media ? *media : *surfaces;
+    const DensityLevel& texels = translucent ? *translucent : *surfaces;
     const float side = std::ldexp(1.0f, level);
     const auto zero = hn::Zero(d);
     const auto width = hn::Set(di, std::int32_t(texels.width));
@@ -284,31 +315,48 @@ void Kernel::walk(int level, bool last) {
         auto nextV =
             hn::IfThenElse(stillV, never, hn::Mul(hn::Sub(borderV, v), inverseV));
 
+        auto steps = hn::Load(di, march_.steps + i);
         for (;;) {
             const auto sNext = hn::Max(s, hn::Min(end, hn::Min(nextU, nextV)));
             const auto texel = hn::IfThenElseZero(hn::RebindMask(di, alive),
                                                   hn::Add(hn::Mul(y, width), x));
             const auto word = hn::ShiftLeft<2>(texel);  // of texels
             const auto wa = hn::MulAdd(s, dw, w), wb = hn::MulAdd(sNext, dw, w);
-            if (media) {
-                const auto low = hn::Min(wa, wb), high = hn::Max(wa, wb);
-                const auto meets = hn::And(
-                    hn::Lt(low, hn::GatherIndex(d, &media->texels[0].high, word)),
-                    hn::Gt(high, hn::GatherIndex(d, &media->texels[0].low, word)));
-                push(march_.media, low, high, texel, i, hn::And(alive, meets));
-                if (march_.media.count > Hits::kRoom)
-                    answer(tree_.media(), level, march_.media, march_.sum);
+            const auto meets = [&](const DensityLevel& of, auto from, auto to) {
+                return hn::And(hn::Lt(from, hn::GatherIndex(d, &of.texels[0].high, word)),
+                               hn::Gt(to, hn::GatherIndex(d, &of.texels[0].low, word)));
+            };
+            const auto low = hn::Min(wa, wb), high = hn::Max(wa, wb);
+            if (translucent && !sheets_) {
+                push(march_.translucent, low, high, texel, i,
+                     hn::And(alive, meets(*translucent, low, high)));
+                if (march_.translucent.count > Hits::kRoom)
+                    answer(tree_.translucent(), level, march_.translucent, march_.sum);
+            }
+            if (translucent && sheets_) {
+                const auto bias = biasAt(low, high, fullSide);
+                const auto reach = hn::Add(bias, bias);
+                const auto met = hn::And(alive, meets(*translucent, hn::Sub(low, reach),
+                                                      hn::Add(high, reach)));
+                Hits& hits = march_.translucent;
+                const auto nextBias = hn::IfThenElse(hn::Lt(sNext, end), bias, reach);
+                hn::StoreU(hn::Compress(bias, met), d, hits.bias + hits.count);
+                hn::StoreU(hn::Compress(nextBias, met), d, hits.nextBias + hits.count);
+                hn::StoreU(hn::Compress(steps, hn::RebindMask(di, met)), di,
+                           hits.step + hits.count);
+                steps =
+                    hn::Add(steps, hn::IfThenElseZero(hn::RebindMask(di, alive), oneI));
+                push(hits, wa, wb, texel, i, met);
+                if (hits.count > Hits::kRoom) answerSheets(level);
             }
             if (surfaces) {
-                const auto from = hn::Max(s, beginSurfaces);
-                const auto wc = hn::MulAdd(from, dw, w);
-                auto low = hn::Min(wc, wb), high = hn::Max(wc, wb);
-                widen(low, high);
-                const auto meets = hn::And(
-                    hn::Lt(low, hn::GatherIndex(d, &surfaces->texels[0].high, word)),
-                    hn::Gt(high, hn::GatherIndex(d, &surfaces->texels[0].low, word)));
-                push(march_.surfaces, low, high, texel, i,
-                     hn::And(hn::And(alive, meets), hn::Lt(from, sNext)));
+                const auto begin = hn::Max(s, beginSurfaces);
+                const auto wc = hn::MulAdd(begin, dw, w);
+                auto from = hn::Min(wc, wb), to = hn::Max(wc, wb);
+                widen(from, to, hn::Set(d, 1.0f));
+                push(march_.surfaces, from, to, texel, i,
+                     hn::And(hn::And(alive, meets(*surfaces, from, to)),
+                             hn::Lt(begin, sNext)));
                 if (march_.surfaces.count > Hits::kRoom)
                     answer(tree_.surfaces(), level, march_.surfaces, march_.surfaceSum);
             }
@@ -329,8 +377,12 @@ void Kernel::walk(int level, bool last) {
             alive = hn::And(alive, hn::RebindMask(d, inside));
             if (hn::AllFalse(d, alive)) break;
         }
+        hn::Store(steps, di, march_.steps + i);
     }
-    answer(tree_.media(), level, march_.media, march_.sum);
+    if (sheets_)
+        answerSheets(level);
+    else
+        answer(tree_.translucent(), level, march_.translucent, march_.sum);
     answer(tree_.surfaces(), level, march_.surfaces, march_.surfaceSum);
     march_.open &= ahead;
 }
@@ -349,13 +401,7 @@ void Kernel::answer(const DensityPyramid& pyramid, int level, Hits& hits,
         const std::uint32_t* list = texels.slabs.data() + texel.begin;
         const auto low = hn::Set(d, hits.low[h]), high = hn::Set(d, hits.high[h]);
         const int ray = hits.ray[h];
-        if (!(march_.met >> ray & 1u)) {
-            march_.met |= 1u << ray;
-            for (std::uint32_t c = 0; c < channels; ++c) {
-                hn::Store(hn::Zero(d), d, march_.sum[c][ray]);
-                hn::Store(hn::Zero(d), d, march_.surfaceSum[c][ray]);
-            }
-        }
+        beginSums(ray);
         for (std::uint32_t k = 0; k < texel.count; k += lanes) {
             const std::uint32_t* at = list + k;
             const auto valid = hn::FirstN(du, texel.count - k);
@@ -382,6 +428,84 @@ void Kernel::answer(const DensityPyramid& pyramid, int level, Hits& hits,
     hits.count = 0;
 }
 
+/// As the definition's sheets (traverse_scalar.cpp), with optical depths for samples: of
+/// what a ray meets here, that is not paid for again which it has paid for where it left
+/// the texel before, as far as it lies near where it entered this one.
+void Kernel::answerSheets(int level) {
+    const Floats d;
+    const std::uint32_t lanes = std::uint32_t(hn::Lanes(d));
+    const hn::RebindToUnsigned<Floats> du;
+    const auto upper = hn::Set(du, 0xffff0000u);
+    const std::uint32_t channels = tree_.channels();
+    Hits& hits = march_.translucent;
+    if (hits.count == 0) return;
+    const DensityLevel& texels = tree_.translucent().levels[std::size_t(level)];
+    for (int h = 0; h < hits.count; ++h) {
+        const DensityTexel texel = texels.texels[std::size_t(hits.texel[h])];
+        const std::uint32_t* list = texels.slabs.data() + texel.begin;
+        const int ray = hits.ray[h];
+        beginSums(ray);
+        const bool straightOn = hits.step[h] == march_.lastStep[ray] + 1;
+        march_.lastStep[ray] = hits.step[h];
+        const auto enter = hn::Set(d, hits.low[h]), exit = hn::Set(d, hits.high[h]);
+        const auto bias = hn::Set(d, hits.bias[h]), step = hn::Add(bias, bias);
+        const auto nextBias = hn::Set(d, hits.nextBias[h]);
+        const auto nextStep = hn::Add(nextBias, nextBias);
+        for (std::uint32_t c = 0; c < channels; ++c) {
+            auto sumMet = hn::Zero(d), sumEntered = hn::Zero(d), sumBoth = hn::Zero(d);
+            auto goesOn = hn::Zero(d), goesOnIfKnown = hn::Zero(d);
+            for (std::uint32_t k = 0; k < texel.count; k += lanes) {
+                const auto valid = hn::FirstN(du, texel.count - k);
+                const auto part = [&](std::uint32_t n) {
+                    return hn::IfThenElseZero(valid,
+                                              hn::LoadU(du, list + k + n * texel.count));
+                };
+                const auto slab = hn::BitCast(d, part(0));
+                const auto bits = part(1);
+                const auto slabEnd = hn::Add(slab, hn::BitCast(d, hn::And(bits, upper)));
+                const auto density =
+                    hn::BitCast(d, c == 0   ? hn::ShiftLeft<16>(bits)
+                                   : c == 1 ? hn::And(part(2), upper)
+                                            : hn::ShiftLeft<16>(part(2)));
+                const auto within = [&](auto low, auto high) {
+                    const auto length =
+                        hn::Sub(hn::Min(high, slabEnd), hn::Max(low, slab));
+                    return hn::Mul(hn::Max(length, hn::Zero(d)), density);
+                };
+                const auto met = within(hn::Sub(hn::Min(enter, exit), bias),
+                                        hn::Add(hn::Max(enter, exit), bias));
+                const auto entered = within(hn::Sub(enter, step), hn::Add(enter, step));
+                const auto left =
+                    within(hn::Sub(exit, nextStep), hn::Add(exit, nextStep));
+                sumMet = hn::Add(sumMet, met);
+                sumEntered = hn::Add(sumEntered, entered);
+                sumBoth = hn::Add(sumBoth, hn::Min(met, entered));
+                goesOn = hn::Add(goesOn, hn::Min(met, left));
+                goesOnIfKnown =
+                    hn::Add(goesOnIfKnown, hn::Min(hn::Max(met, entered), left));
+            }
+            const auto total = [&](auto v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
+            float& paid = march_.paid[c][ray];
+            const float near = total(sumEntered);
+            const float known = straightOn ? std::min(paid, near) : 0.0f;
+            march_.sum[c][ray][0] += total(sumMet) - std::min(total(sumBoth), known);
+            const float share = known > 0.0f ? known / near : 0.0f;
+            paid = share * total(goesOnIfKnown) + (1.0f - share) * total(goesOn);
+        }
+    }
+    hits.count = 0;
+}
+
+void Kernel::beginSums(int ray) {
+    if (march_.met >> ray & 1u) return;
+    const Floats d;
+    march_.met |= 1u << ray;
+    for (std::uint32_t c = 0; c < tree_.channels(); ++c) {
+        hn::Store(hn::Zero(d), d, march_.sum[c][ray]);
+        hn::Store(hn::Zero(d), d, march_.surfaceSum[c][ray]);
+    }
+}
+
 void Kernel::settle(int b, RayDepths& depths) {
     const Floats d;
     for (std::uint32_t left = march_.met; left != 0; left &= left - 1) {
@@ -404,7 +528,7 @@ void Kernel::settle(int b, RayDepths& depths) {
 
 void traceDensityAt(const DensityTree& tree, const DensityTraceOptions& options,
                     RayBundle& bundle, RayDepths& depths) {
-    if (tree.media().empty() && tree.surfaces().empty()) return;
+    if (tree.translucent().empty() && tree.surfaces().empty()) return;
     Kernel kernel(tree, options);
     for (int b = 0; b < bundle.blocks; ++b) {
         if (bundle.open[b]) kernel.block(bundle, b, depths);

@@ -93,12 +93,15 @@ Slab unpack(const DensityLevel& level, const DensityTexel& texel, std::uint32_t 
     return slab;
 }
 
+enum class Kind { media, sheets, surfaces };
+
 /// Slabs that lie about one another are merged up to these.
 struct Limits {
     float depth = 0.0f;
     float length = 0.0f;    ///< w, or share of w
     bool relative = false;  ///< to w: a perspective view's footprint is a share of z
     bool whole = false;     ///< slabs are not cut
+    bool thin = false;      ///< what is merged lies at the mean of the depths
     [[nodiscard]] float lengthAt(float w) const noexcept {
         return relative ? length * w : length;
     }
@@ -108,17 +111,18 @@ struct Limits {
 constexpr double kMostOfDepth = 0.1;
 /// Slabs are cut to not less than this share of the longest they may be.
 constexpr float kShortestCut = 1.0f / 16;
-/// Surfaces are merged over this many texel footprints, at any depth.
+/// Sheets and surfaces are merged over this many texel footprints, at any depth.
 constexpr double kSurfaceLength = 2.0;
 
-Limits limitsOf(const Projection& p, const DensityOptions& options, bool surfaces,
+Limits limitsOf(const Projection& p, const DensityOptions& options, Kind kind,
                 std::uint32_t level) {
     const double texel = p.pixelFootprint(1.0) * double(std::uint64_t(1) << level);
     const bool perspective = p.kind == ProjectionKind::perspective;
-    const double length = texel * (surfaces ? kSurfaceLength : options.length);
-    return {surfaces ? 8.0f * kDarkDepth : float(options.depth),
+    const bool media = kind == Kind::media;
+    const double length = texel * (media ? options.length : kSurfaceLength);
+    return {media ? float(options.depth) : 8.0f * kDarkDepth,
             float(perspective ? std::min(length, kMostOfDepth) : length), perspective,
-            surfaces};
+            !media, kind == Kind::sheets};
 }
 
 // --- a pixel's layers ------------------------------------------------------------------
@@ -128,20 +132,21 @@ class PixelSlabs {
     PixelSlabs(const ShadowMap& map, std::uint32_t face)
         : projection_(map.projection(face)),
           channels_(map.info().channels),
-          perspective_(projection_.kind == ProjectionKind::perspective) {}
+          perspective_(projection_.kind == ProjectionKind::perspective),
+          sheets_(map.info().translucent == Translucent::sheets) {}
 
-    /// The slabs of pixel (x, y), in order of w: those of the medium, or the surfaces.
+    /// The slabs of pixel (x, y), in order of w: the surfaces, or what is none.
     void read(const PixelLayers& pixel, std::uint32_t x, std::uint32_t y, bool surfaces,
               std::vector<Slab>& out) const {
         out.clear();
-        const float way = surfaces ? 1.0f : 1.0f / centreWay(x, y);
+        const float way = surfaces || sheets_ ? 1.0f : 1.0f / centreWay(x, y);
         for (std::uint32_t i = pixel.count; i-- > 0;) {
             const bool surface = isSurface(pixel, i);
             if (surface != surfaces) continue;
             if (surface)
                 out.push_back(at(pixel.z[i], {kDarkDepth, kDarkDepth, kDarkDepth}));
             else
-                medium(pixel, i, way, out);
+                translucent(pixel, i, way, out);
         }
     }
 
@@ -156,7 +161,7 @@ class PixelSlabs {
         return true;
     }
     [[nodiscard]] bool isSurface(const PixelLayers& pixel, std::uint32_t i) const {
-        return (!pixel.n || pixel.n[i] == 1) && isDark(pixel, i);
+        return (sheets_ || !pixel.n || pixel.n[i] == 1) && isDark(pixel, i);
     }
 
     /// Way of the centre ray per unit of depth.
@@ -178,8 +183,8 @@ class PixelSlabs {
 
     /// The samples of layer i: spread from the layer before to its own depth. Where they
     /// end dark, the last one blocks and the others take nothing.
-    void medium(const PixelLayers& pixel, std::uint32_t i, float way,
-                std::vector<Slab>& out) const {
+    void translucent(const PixelLayers& pixel, std::uint32_t i, float way,
+                     std::vector<Slab>& out) const {
         const bool restart = i == 0 || isDark(pixel, i - 1);
         Depths depth{}, end{};
         bool takes = false, ends = false;
@@ -225,7 +230,7 @@ class PixelSlabs {
 
     const Projection& projection_;
     std::uint32_t channels_;
-    bool perspective_;
+    bool perspective_, sheets_;
 };
 
 // --- merging ---------------------------------------------------------------------------
@@ -361,11 +366,13 @@ class Merger {
         end_ = at + limits_.lengthAt(at);
         shortest_ = kShortestCut * limits_.lengthAt(at);
         depth_ = {};
-        thickest_ = 0.0f;
+        thickest_ = moment_ = 0.0f;
     }
 
     void close(std::vector<Slab>& out) {
         Slab slab{low_, high_, {}};
+        if (limits_.thin && high_ <= end_ && thickest_ > 0.0f)
+            slab.low = slab.high = low_ + moment_ / thickest_;
         // The depth whose transmittance is the mean of the children's.
         for (std::uint32_t c = 0; c < channels_; ++c) {
             float taken = 0.0f;
@@ -439,6 +446,7 @@ class Merger {
             thickest = std::max(thickest, part * slab.depth[c]);
         }
         thickest_ += share_ * thickest;
+        moment_ += share_ * thickest * (0.5f * (slab.low + slab.high) - low_);
     }
 
     std::uint32_t channels_;
@@ -448,6 +456,7 @@ class Merger {
     // thickest channel has, mean over the children.
     bool open_ = false;
     float low_ = 0.0f, high_ = 0.0f, end_ = 0.0f, shortest_ = 0.0f, thickest_ = 0.0f;
+    float moment_ = 0.0f;            // of that, about low_
     std::array<Depths, 4> depth_{};  // [child][channel]
 };
 
@@ -475,26 +484,30 @@ bool makeCoarser(const DensityLevel& fine, std::uint32_t channels, Limits limits
     return makeLevel(channels, level, make);
 }
 
-bool makePyramid(const ShadowMap& map, std::uint32_t face, bool surfaces,
+bool makePyramid(const ShadowMap& map, std::uint32_t face, Kind kind,
                  const DensityOptions& options, DensityPyramid& pyramid) {
     const Projection& p = map.projection(face);
     pyramid.levels.emplace_back();
-    if (!makePixels(map, face, surfaces, pyramid.levels[0])) return false;
+    if (!makePixels(map, face, kind == Kind::surfaces, pyramid.levels[0])) return false;
     if (pyramid.levels[0].slabs.size() == kLanes) {
         pyramid = {};
         return true;
+    }
+    pyramid.low = HUGE_VALF;
+    pyramid.high = -HUGE_VALF;
+    for (const DensityTexel& texel : pyramid.levels[0].texels) {
+        pyramid.low = std::min(pyramid.low, texel.low);
+        pyramid.high = std::max(pyramid.high, texel.high);
     }
     for (std::uint32_t i = 1;
          pyramid.levels.back().width > 1 || pyramid.levels.back().height > 1; ++i) {
         DensityLevel level;
         if (!makeCoarser(pyramid.levels.back(), map.info().channels,
-                         limitsOf(p, options, surfaces, i), level))
+                         limitsOf(p, options, kind, i), level))
             return false;
         if (i <= options.finest) pyramid.levels.back() = {};
         pyramid.levels.push_back(std::move(level));
     }
-    pyramid.low = pyramid.levels.back().texels[0].low;
-    pyramid.high = pyramid.levels.back().texels[0].high;
     return true;
 }
 
@@ -510,12 +523,10 @@ std::uint64_t bytesOf(const DensityPyramid& pyramid) {
 
 Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
                                        const DensityOptions& options) {
-    if (map.info().translucent != Translucent::media)
-        return base::makeError(ErrorCode::badArgument,
-                               "a density tree is made of a map of media, not of sheets");
     DensityTree tree;
     tree.projection_ = map.projection(face);
     tree.channels_ = map.info().channels;
+    tree.sheets_ = map.info().translucent == Translucent::sheets;
     tree.width_ = map.info().width;
     tree.height_ = map.info().height;
     const auto coarsest =
@@ -523,8 +534,10 @@ Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
     DensityOptions present = options;
     present.finest = tree.finest_ = std::min(options.finest, coarsest);
     const bool indexable = std::uint64_t(tree.width_) * tree.height_ <= kMostTexels;
-    if (!indexable || !makePyramid(map, face, false, present, tree.media_) ||
-        !makePyramid(map, face, true, present, tree.surfaces_))
+    if (!indexable ||
+        !makePyramid(map, face, tree.sheets_ ? Kind::sheets : Kind::media, present,
+                     tree.translucent_) ||
+        !makePyramid(map, face, Kind::surfaces, present, tree.surfaces_))
         return base::makeError(
             ErrorCode::tooLarge, "face ", face,
             " has too many pixels or layers for a density tree: bake with a "
@@ -533,7 +546,7 @@ Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
 }
 
 std::uint64_t DensityTree::memoryBytes() const noexcept {
-    return bytesOf(media_) + bytesOf(surfaces_);
+    return bytesOf(translucent_) + bytesOf(surfaces_);
 }
 
 }  // namespace mtsm::trace

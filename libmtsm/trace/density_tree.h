@@ -1,11 +1,13 @@
 // density_tree.h - one face of a transparent map as optical depths that add up along a
-// ray, at every resolution: what the fast trace of media follows rays through.
+// ray, at every resolution: what the fast trace of maps that are not opaque follows rays
+// through.
 //
 // Level 0 has a texel per pixel, each level above one per 2 x 2 texels below. A texel is
-// a list of slabs in straight space (bundle.h): between w = low and w = high its optical
-// depth is spread evenly, so that what a ray meets is an overlap times a density. Depths
-// are those along the centre ray over that ray's way per unit of depth: times the way of
-// any other ray per unit of depth they are what that ray loses [traverse.h, Media].
+// a list of slabs in straight space (bundle.h): between two w its optical depth is spread
+// evenly, so that what a ray meets is an overlap times a density. Depths of media are
+// those along the centre ray over that ray's way per unit of depth: times the way of any
+// other ray per unit of depth they are what that ray loses [traverse.h, Media]. Sheets
+// take the same at any slant.
 //
 // Merging. At level 0 every layer is a slab. Above, slabs of a texel's four children that
 // lie about one another become one while it is short and thin (see DensityOptions). The
@@ -14,10 +16,14 @@
 // pixels is summed up before the logarithm, and what lies in other slabs is taken for
 // independent: there depths add. (Measured: tests/bench/NOTES.md.)
 //
-// Surfaces: in a map of media opaque layers of one sample (map.h). They have a pyramid
-// of their own, because they count from elsewhere along a ray, are met within the bias,
-// and take the same at any slant. At level 0 they block; above, a texel that they cover
-// in part has the depth -ln(1 - part).
+// Sheets are never cut, and those that lie within some footprints of one another become
+// one at the mean of their depths.
+//
+// Surfaces are the layers that block: in a map of media those of one sample that are
+// dark, in one of sheets all that are dark. They have a pyramid of their own, because
+// they count from elsewhere along a ray of media, are met within the bias, and take the
+// same at any slant. At level 0 they block; above, a texel that they cover in part has
+// the depth -ln(1 - part).
 //
 // Built in parallel in the caller's oneTBB arena, the same for any number of threads.
 #pragma once
@@ -73,9 +79,9 @@ struct DensityPyramid {
 
 class DensityTree {
   public:
-    /// The face of a map of media. Errors: badArgument if the map is one of sheets,
-    /// tooLarge if it has more than 16384 x 16384 pixels or a level's slabs take more
-    /// than 16 GB. Time and memory are linear in the number of layers and pixels.
+    /// One error: tooLarge if the face has more than 16384 x 16384 pixels or a level's
+    /// slabs take more than 16 GB. Time and memory are linear in the number of layers and
+    /// pixels.
     [[nodiscard]] static Result<DensityTree> build(const ShadowMap& map,
                                                    std::uint32_t face,
                                                    const DensityOptions& options = {});
@@ -85,7 +91,11 @@ class DensityTree {
     [[nodiscard]] std::uint32_t width() const noexcept { return width_; }  ///< pixels
     [[nodiscard]] std::uint32_t height() const noexcept { return height_; }
     [[nodiscard]] std::uint32_t finest() const noexcept { return finest_; }
-    [[nodiscard]] const DensityPyramid& media() const noexcept { return media_; }
+    [[nodiscard]] bool isOfSheets() const noexcept { return sheets_; }
+    /// What lets light through.
+    [[nodiscard]] const DensityPyramid& translucent() const noexcept {
+        return translucent_;
+    }
     [[nodiscard]] const DensityPyramid& surfaces() const noexcept { return surfaces_; }
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
 
@@ -94,7 +104,8 @@ class DensityTree {
 
     Projection projection_;
     std::uint32_t channels_ = 1, width_ = 0, height_ = 0, finest_ = 0;
-    DensityPyramid media_, surfaces_;
+    bool sheets_ = false;
+    DensityPyramid translucent_, surfaces_;
 };
 
 }  // namespace mtsm::trace
