@@ -46,11 +46,11 @@ struct March {
     Hits translucent, surfaces;
     /// [channel][ray][a vector's lanes]: sums over the slabs of the level.
     alignas(64) float sum[3][kLanes][kLanes], surfaceSum[3][kLanes][kLanes];
-    /// Sheets: texels that a ray has been in, with sheets near by the last time; and what
-    /// it has paid of those near where it left that one.
+    /// Sheets: how many texels a ray has been in, that number when it last had sheets
+    /// near by, and how many it had paid for near where it left then.
     alignas(64) std::int32_t steps[kLanes];
     std::int32_t lastStep[kLanes];
-    float paid[3][kLanes];
+    float paid[kLanes];
 };
 
 template <class M>
@@ -247,7 +247,7 @@ void Kernel::setUp(const RayBundle& bundle, int b) {
         hn::Store(one, d, march_.stretch + i);
         hn::Store(hn::Zero(Ints()), Ints(), march_.steps + i);
         for (int r = i; r < i + lanes; ++r)
-            march_.lastStep[r] = -2;
+            march_.lastStep[r] = -2;  // paid[r] is not read then
     }
 }
 
@@ -428,17 +428,19 @@ void Kernel::answer(const DensityPyramid& pyramid, int level, Hits& hits,
     hits.count = 0;
 }
 
-/// As the definition's sheets (traverse_scalar.cpp), with optical depths for samples: of
-/// what a ray meets here, that is not paid for again which it has paid for where it left
-/// the texel before, as far as it lies near where it entered this one.
+/// As the definition's sheets (traverse_scalar.cpp), with slabs for samples: as many of
+/// those that the ray has paid for near where it left the texel before are not paid for
+/// again near where it entered this one.
 void Kernel::answerSheets(int level) {
+    Hits& hits = march_.translucent;
+    if (hits.count == 0) return;
     const Floats d;
     const std::uint32_t lanes = std::uint32_t(hn::Lanes(d));
     const hn::RebindToUnsigned<Floats> du;
     const auto upper = hn::Set(du, 0xffff0000u);
+    const auto zero = hn::Zero(d);
+    const auto total = [&](auto v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
     const std::uint32_t channels = tree_.channels();
-    Hits& hits = march_.translucent;
-    if (hits.count == 0) return;
     const DensityLevel& texels = tree_.translucent().levels[std::size_t(level)];
     for (int h = 0; h < hits.count; ++h) {
         const DensityTexel texel = texels.texels[std::size_t(hits.texel[h])];
@@ -451,47 +453,52 @@ void Kernel::answerSheets(int level) {
         const auto bias = hn::Set(d, hits.bias[h]), step = hn::Add(bias, bias);
         const auto nextBias = hn::Set(d, hits.nextBias[h]);
         const auto nextStep = hn::Add(nextBias, nextBias);
-        for (std::uint32_t c = 0; c < channels; ++c) {
-            auto sumMet = hn::Zero(d), sumEntered = hn::Zero(d), sumBoth = hn::Zero(d);
-            auto goesOn = hn::Zero(d), goesOnIfKnown = hn::Zero(d);
-            for (std::uint32_t k = 0; k < texel.count; k += lanes) {
-                const auto valid = hn::FirstN(du, texel.count - k);
-                const auto part = [&](std::uint32_t n) {
-                    return hn::IfThenElseZero(valid,
-                                              hn::LoadU(du, list + k + n * texel.count));
-                };
-                const auto slab = hn::BitCast(d, part(0));
-                const auto bits = part(1);
-                const auto slabEnd = hn::Add(slab, hn::BitCast(d, hn::And(bits, upper)));
+        // Slabs near the way in; those that go on out, if the former are not known or
+        // are.
+        auto near = zero, goesOn = zero, goesOnIfKnown = zero;
+        // [channel]: depths met, and of those near the way in.
+        float depthMet[3] = {}, depthNear[3] = {};
+        for (std::uint32_t k = 0; k < texel.count; k += lanes) {
+            const auto valid = hn::FirstN(du, texel.count - k);
+            const auto plane = [&](std::uint32_t n) {
+                return hn::IfThenElseZero(valid,
+                                          hn::LoadU(du, list + k + n * texel.count));
+            };
+            const auto slab = hn::BitCast(d, plane(0));
+            const auto bits = plane(1);
+            const auto slabEnd = hn::Add(slab, hn::BitCast(d, hn::And(bits, upper)));
+            const auto length = hn::Sub(slabEnd, slab);
+            const auto perLength =
+                hn::Div(hn::Set(d, 1.0f), hn::Max(length, hn::Set(d, 1e-31f)));
+            const auto part = [&](auto low, auto high) {
+                const auto within = hn::Sub(hn::Min(high, slabEnd), hn::Max(low, slab));
+                return hn::IfThenElseZero(hn::RebindMask(d, valid),
+                                          hn::Mul(hn::Max(within, zero), perLength));
+            };
+            const auto met = part(hn::Sub(hn::Min(enter, exit), bias),
+                                  hn::Add(hn::Max(enter, exit), bias));
+            const auto entered = part(hn::Sub(enter, step), hn::Add(enter, step));
+            const auto left = part(hn::Sub(exit, nextStep), hn::Add(exit, nextStep));
+            near = hn::Add(near, entered);
+            goesOn = hn::Add(goesOn, hn::Min(met, left));
+            goesOnIfKnown = hn::Add(goesOnIfKnown, hn::Min(hn::Max(met, entered), left));
+            for (std::uint32_t c = 0; c < channels; ++c) {
                 const auto density =
                     hn::BitCast(d, c == 0   ? hn::ShiftLeft<16>(bits)
-                                   : c == 1 ? hn::And(part(2), upper)
-                                            : hn::ShiftLeft<16>(part(2)));
-                const auto within = [&](auto low, auto high) {
-                    const auto length =
-                        hn::Sub(hn::Min(high, slabEnd), hn::Max(low, slab));
-                    return hn::Mul(hn::Max(length, hn::Zero(d)), density);
-                };
-                const auto met = within(hn::Sub(hn::Min(enter, exit), bias),
-                                        hn::Add(hn::Max(enter, exit), bias));
-                const auto entered = within(hn::Sub(enter, step), hn::Add(enter, step));
-                const auto left =
-                    within(hn::Sub(exit, nextStep), hn::Add(exit, nextStep));
-                sumMet = hn::Add(sumMet, met);
-                sumEntered = hn::Add(sumEntered, entered);
-                sumBoth = hn::Add(sumBoth, hn::Min(met, entered));
-                goesOn = hn::Add(goesOn, hn::Min(met, left));
-                goesOnIfKnown =
-                    hn::Add(goesOnIfKnown, hn::Min(hn::Max(met, entered), left));
+                                   : c == 1 ? hn::And(plane(2), upper)
+                                            : hn::ShiftLeft<16>(plane(2)));
+                const auto depth = hn::Mul(density, length);
+                depthMet[c] += total(hn::Mul(depth, met));
+                depthNear[c] += total(hn::Mul(depth, hn::Min(met, entered)));
             }
-            const auto total = [&](auto v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
-            float& paid = march_.paid[c][ray];
-            const float near = total(sumEntered);
-            const float known = straightOn ? std::min(paid, near) : 0.0f;
-            march_.sum[c][ray][0] += total(sumMet) - std::min(total(sumBoth), known);
-            const float share = known > 0.0f ? known / near : 0.0f;
-            paid = share * total(goesOnIfKnown) + (1.0f - share) * total(goesOn);
         }
+        float& paid = march_.paid[ray];
+        const float nearby = total(near);
+        const float known =
+            straightOn && nearby > 0.0f ? std::min(paid / nearby, 1.0f) : 0.0f;
+        for (std::uint32_t c = 0; c < channels; ++c)
+            march_.sum[c][ray][0] += depthMet[c] - known * depthNear[c];
+        paid = known * total(goesOnIfKnown) + (1.0f - known) * total(goesOn);
     }
     hits.count = 0;
 }
