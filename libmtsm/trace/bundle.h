@@ -30,10 +30,12 @@ struct RayBundle {
     /// [block][lane]: what is met at s <= begin does not count (the receiver's own
     /// surface).
     alignas(64) float begin[kMostBlocks][kLanes];
-    /// The same for opaque surfaces in a map of media, whose kernel reads both.
+    /// The same for opaque surfaces, if that is behind `begin`, in kernels that know both
+    /// (density_trace.h).
     alignas(64) float beginSurfaces[kMostBlocks][kLanes];
-    /// [lane]: kernels of media may answer from texels as large as texel s pixels at s: a
-    /// part of what lies between neighbouring rays there. 0: from single pixels only.
+    /// [lane]: kernels of maps that are not opaque may answer from texels as large as
+    /// texel s pixels at s: a part of how far apart rays to the ends of the light are
+    /// there. 0: from single pixels only.
     alignas(64) float texel[kLanes];
     /// [block]: bit i is set if the ray of lane i is to be followed. Kernels clear the
     /// bits of rays that are blocked.

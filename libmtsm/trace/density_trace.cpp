@@ -116,8 +116,65 @@ class Kernel {
     /// Adds the sums of a level to the depths.
     void settle(int b, RayDepths& depths);
 
-    template <class V, class M>
-    void push(Hits& hits, V low, V high, hn::Vec<Ints> texel, int first, M mask) {
+    // A texel that rays first .. first + lanes - 1 cross between two w; those of `alive`.
+    template <class V, class VI, class M>
+    void crossMedia(int level, V low, V high, VI texel, int first, M alive) {
+        const DensityLevel& texels = tree_.translucent().levels[std::size_t(level)];
+        Hits& hits = march_.translucent;
+        push(hits, low, high, texel, first,
+             hn::And(alive, meets(texels, texel, low, high)));
+        if (hits.count > Hits::kRoom)
+            answer(tree_.translucent(), level, hits, march_.sum);
+    }
+
+    template <class V, class VI, class M>
+    void crossSurfaces(int level, V from, V to, VI texel, int first, M alive) {
+        const DensityLevel& texels = tree_.surfaces().levels[std::size_t(level)];
+        Hits& hits = march_.surfaces;
+        V low = hn::Min(from, to), high = hn::Max(from, to);
+        widen(low, high, hn::Set(Floats(), 1.0f));
+        push(hits, low, high, texel, first,
+             hn::And(alive, meets(texels, texel, low, high)));
+        if (hits.count > Hits::kRoom)
+            answer(tree_.surfaces(), level, hits, march_.surfaceSum);
+    }
+
+    /// `isLast`: from here the ray goes on into texels of the next level.
+    template <class V, class VI, class M>
+    void crossSheets(int level, V enter, V exit, VI texel, int first, M alive, M isLast) {
+        const Floats d;
+        const Ints di;
+        const DensityLevel& texels = tree_.translucent().levels[std::size_t(level)];
+        Hits& hits = march_.translucent;
+        const V low = hn::Min(enter, exit), high = hn::Max(enter, exit);
+        const V bias = biasAt(low, high, hn::Set(d, std::ldexp(1.0f, level)));
+        const V reach = hn::Add(bias, bias);
+        const M met = hn::And(
+            alive, meets(texels, texel, hn::Sub(low, reach), hn::Add(high, reach)));
+        const V nextBias = hn::IfThenElse(isLast, reach, bias);
+        hn::StoreU(hn::Compress(bias, met), d, hits.bias + hits.count);
+        hn::StoreU(hn::Compress(nextBias, met), d, hits.nextBias + hits.count);
+        const VI steps = hn::Load(di, march_.steps + first);
+        const auto metI = hn::RebindMask(di, met), aliveI = hn::RebindMask(di, alive);
+        hn::StoreU(hn::Compress(steps, metI), di, hits.step + hits.count);
+        hn::Store(hn::Add(steps, hn::IfThenElseZero(aliveI, hn::Set(di, 1))), di,
+                  march_.steps + first);
+        push(hits, enter, exit, texel, first, met);
+        if (hits.count > Hits::kRoom) answerSheets(level);
+    }
+
+    /// Do the texels' slabs reach into [low, high]?
+    template <class V, class VI>
+    auto meets(const DensityLevel& texels, VI texel, V low, V high) const {
+        const Floats d;
+        const VI word = hn::ShiftLeft<2>(texel);
+        const DensityTexel& first = texels.texels[0];
+        return hn::And(hn::Lt(low, hn::GatherIndex(d, &first.high, word)),
+                       hn::Gt(high, hn::GatherIndex(d, &first.low, word)));
+    }
+
+    template <class V, class VI, class M>
+    void push(Hits& hits, V low, V high, VI texel, int first, M mask) {
         const Floats d;
         const Ints di;
         const auto maskI = hn::RebindMask(di, mask);
@@ -127,6 +184,49 @@ class Kernel {
         hn::StoreU(hn::Compress(texel, maskI), di, hits.texel + hits.count);
         hn::StoreU(hn::Compress(ray, maskI), di, hits.ray + hits.count);
         hits.count += int(hn::CountTrue(d, mask));
+    }
+
+    /// Between which w something may be met by a ray that may use texels of this size.
+    template <class V>
+    void findRange(V texel, V& low, V& high) const {
+        const Floats d;
+        const V one = hn::Set(d, 1.0f);
+        low = hn::Set(d, HUGE_VALF);
+        high = hn::Set(d, -HUGE_VALF);
+        const auto include = [&](const DensityPyramid& pyramid, V biases) {
+            V from = hn::Set(d, pyramid.low), to = hn::Set(d, pyramid.high);
+            widen(from, to, biases);
+            low = hn::Min(low, from);
+            high = hn::Max(high, to);
+        };
+        const V reach = hn::Mul(hn::Set(d, 2.0f), hn::Max(texel, one));
+        if (!tree_.translucent().empty())
+            include(tree_.translucent(), sheets_ ? reach : hn::Zero(d));
+        if (!tree_.surfaces().empty()) include(tree_.surfaces(), one);
+    }
+
+    /// Way per unit of depth, at most kMostStretch times the centre ray's at the start.
+    template <class V>
+    V stretchOf(V u, V v, V w, V du, V dv, V dw) const {
+        const Floats d;
+        const Projection& p = tree_.projection();
+        const V perPixelX = hn::Set(d, float(1.0 / p.scale.x));
+        const V perPixelY = hn::Set(d, float(1.0 / p.scale.y));
+        const V one = hn::Set(d, 1.0f);
+        // d(x, y, z) / ds; for a perspective view over z^2.
+        V x = hn::Mul(du, perPixelX), y = hn::Mul(dv, perPixelY);
+        V most = hn::Set(d, float(kMostStretch));
+        if (perspective_) {
+            const V cx = hn::Mul(hn::Sub(u, hn::Set(d, float(p.offset.x))), perPixelX);
+            const V cy = hn::Mul(hn::Sub(v, hn::Set(d, float(p.offset.y))), perPixelY);
+            x = hn::MulSub(x, w, hn::Mul(cx, dw));
+            y = hn::MulSub(y, w, hn::Mul(cy, dw));
+            const V centre = hn::Sqrt(hn::MulAdd(cx, cx, hn::MulAdd(cy, cy, one)));
+            most = hn::Mul(most, hn::Min(centre, hn::Set(d, 1e6f)));
+        }
+        const V size = hn::Sqrt(hn::MulAdd(x, x, hn::MulAdd(y, y, hn::Mul(dw, dw))));
+        const V way = hn::Div(size, hn::Abs(dw));
+        return hn::IfThenElse(hn::Lt(way, most), way, most);  // in this order for NaN
     }
 
     /// [low, high] widened by a multiple of the bias.
@@ -172,7 +272,6 @@ class Kernel {
 void Kernel::setUp(const RayBundle& bundle, int b) {
     const Floats d;
     const int lanes = int(hn::Lanes(d));
-    const Projection& p = tree_.projection();
     march_.open = 0;
     dark_ = 0;
     for (int i = 0; i < kLanes; i += lanes) {
@@ -185,49 +284,23 @@ void Kernel::setUp(const RayBundle& bundle, int b) {
         auto beginSurfaces = hn::Load(d, bundle.beginSurfaces[b] + i);
         const auto texel = hn::Load(d, bundle.texel + i);
         auto open = maskOf(d, std::uint32_t(bundle.open[b]) >> i);
-        for (const auto& x : {u, v, w, du, dv, dw})
+        const auto check = [&](auto x) {
             open = hn::And(open, hn::Lt(hn::Abs(x), most));  // false for NaN
+        };
+        check(u), check(v), check(w), check(du), check(dv), check(dw);
         open = hn::And(open, hn::And(hn::Ge(begin, hn::Neg(most)), hn::Ge(texel, zero)));
         open = hn::And(open, hn::Ge(beginSurfaces, hn::Neg(most)));
         begin = hn::Max(begin, zero);
-        beginSurfaces = hn::Max(beginSurfaces, zero);
-        if (tree_.translucent().empty()) begin = hn::Max(begin, beginSurfaces);
-        if (!tree_.surfaces().empty()) begin = hn::Min(begin, beginSurfaces);
+        beginSurfaces = hn::Max(begin, beginSurfaces);
+        if (tree_.translucent().empty()) begin = beginSurfaces;
         auto end = one;
         const auto inverseU = inverse(d, du), inverseV = inverse(d, dv);
         clip(u, inverseU, zero, hn::Set(d, float(tree_.width())), begin, end);
         clip(v, inverseV, zero, hn::Set(d, float(tree_.height())), begin, end);
-        auto low = hn::Set(d, HUGE_VALF), high = hn::Set(d, -HUGE_VALF);
-        const auto include = [&](const DensityPyramid& pyramid, auto biases) {
-            auto from = hn::Set(d, pyramid.low), to = hn::Set(d, pyramid.high);
-            widen(from, to, biases);
-            low = hn::Min(low, from);
-            high = hn::Max(high, to);
-        };
-        if (!tree_.translucent().empty())
-            include(tree_.translucent(),
-                    sheets_ ? hn::Mul(hn::Set(d, 2.0f), hn::Max(texel, one)) : zero);
-        if (!tree_.surfaces().empty()) include(tree_.surfaces(), one);
+        auto low = zero, high = zero;
+        findRange(texel, low, high);
         clip(w, inverse(d, dw), low, high, begin, end);
         open = hn::And(open, hn::Lt(begin, end));
-
-        // Way per unit of depth: of d(x, y, z) / ds, z^2 taken out.
-        auto x = hn::Mul(du, hn::Set(d, float(1.0 / p.scale.x)));
-        auto y = hn::Mul(dv, hn::Set(d, float(1.0 / p.scale.y)));
-        auto most16 = hn::Set(d, float(kMostStretch));
-        if (perspective_) {
-            const auto cx = hn::Mul(hn::Sub(u, hn::Set(d, float(p.offset.x))),
-                                    hn::Set(d, float(1.0 / p.scale.x)));
-            const auto cy = hn::Mul(hn::Sub(v, hn::Set(d, float(p.offset.y))),
-                                    hn::Set(d, float(1.0 / p.scale.y)));
-            x = hn::MulSub(x, w, hn::Mul(cx, dw));
-            y = hn::MulSub(y, w, hn::Mul(cy, dw));
-            const auto centre = hn::Sqrt(hn::MulAdd(cx, cx, hn::MulAdd(cy, cy, one)));
-            most16 = hn::Mul(most16, hn::Min(centre, hn::Set(d, 1e6f)));
-        }
-        const auto size = hn::Sqrt(hn::MulAdd(x, x, hn::MulAdd(y, y, hn::Mul(dw, dw))));
-        const auto way = hn::Div(size, hn::Abs(dw));
-        const auto stretch = hn::IfThenElse(hn::Lt(way, most16), way, most16);
 
         hn::Store(u, d, march_.u + i);
         hn::Store(v, d, march_.v + i);
@@ -241,10 +314,9 @@ void Kernel::setUp(const RayBundle& bundle, int b) {
         hn::Store(beginSurfaces, d, march_.beginSurfaces + i);
         hn::Store(end, d, march_.end + i);
         hn::Store(inverse(d, texel), d, march_.perTexel + i);
-        hn::Store(stretch, d, march_.stretch + i);
+        hn::Store(sheets_ ? one : stretchOf(u, v, w, du, dv, dw), d, march_.stretch + i);
         march_.open |= bitsOf(d, open) << i;
         if (!sheets_) continue;
-        hn::Store(one, d, march_.stretch + i);
         hn::Store(hn::Zero(Ints()), Ints(), march_.steps + i);
         for (int r = i; r < i + lanes; ++r)
             march_.lastStep[r] = -2;  // paid[r] is not read then
@@ -315,50 +387,21 @@ void Kernel::walk(int level, bool last) {
         auto nextV =
             hn::IfThenElse(stillV, never, hn::Mul(hn::Sub(borderV, v), inverseV));
 
-        auto steps = hn::Load(di, march_.steps + i);
         for (;;) {
             const auto sNext = hn::Max(s, hn::Min(end, hn::Min(nextU, nextV)));
             const auto texel = hn::IfThenElseZero(hn::RebindMask(di, alive),
                                                   hn::Add(hn::Mul(y, width), x));
-            const auto word = hn::ShiftLeft<2>(texel);  // of texels
             const auto wa = hn::MulAdd(s, dw, w), wb = hn::MulAdd(sNext, dw, w);
-            const auto meets = [&](const DensityLevel& of, auto from, auto to) {
-                return hn::And(hn::Lt(from, hn::GatherIndex(d, &of.texels[0].high, word)),
-                               hn::Gt(to, hn::GatherIndex(d, &of.texels[0].low, word)));
-            };
-            const auto low = hn::Min(wa, wb), high = hn::Max(wa, wb);
-            if (translucent && !sheets_) {
-                push(march_.translucent, low, high, texel, i,
-                     hn::And(alive, meets(*translucent, low, high)));
-                if (march_.translucent.count > Hits::kRoom)
-                    answer(tree_.translucent(), level, march_.translucent, march_.sum);
-            }
+            if (translucent && !sheets_)
+                crossMedia(level, hn::Min(wa, wb), hn::Max(wa, wb), texel, i, alive);
             if (translucent && sheets_) {
-                const auto bias = biasAt(low, high, fullSide);
-                const auto reach = hn::Add(bias, bias);
-                const auto met = hn::And(alive, meets(*translucent, hn::Sub(low, reach),
-                                                      hn::Add(high, reach)));
-                Hits& hits = march_.translucent;
-                const auto nextBias = hn::IfThenElse(hn::Lt(sNext, end), bias, reach);
-                hn::StoreU(hn::Compress(bias, met), d, hits.bias + hits.count);
-                hn::StoreU(hn::Compress(nextBias, met), d, hits.nextBias + hits.count);
-                hn::StoreU(hn::Compress(steps, hn::RebindMask(di, met)), di,
-                           hits.step + hits.count);
-                steps =
-                    hn::Add(steps, hn::IfThenElseZero(hn::RebindMask(di, alive), oneI));
-                push(hits, wa, wb, texel, i, met);
-                if (hits.count > Hits::kRoom) answerSheets(level);
+                const auto isLast = hn::Ge(sNext, end);
+                crossSheets(level, wa, wb, texel, i, alive, isLast);
             }
             if (surfaces) {
                 const auto begin = hn::Max(s, beginSurfaces);
-                const auto wc = hn::MulAdd(begin, dw, w);
-                auto from = hn::Min(wc, wb), to = hn::Max(wc, wb);
-                widen(from, to, hn::Set(d, 1.0f));
-                push(march_.surfaces, from, to, texel, i,
-                     hn::And(hn::And(alive, meets(*surfaces, from, to)),
-                             hn::Lt(begin, sNext)));
-                if (march_.surfaces.count > Hits::kRoom)
-                    answer(tree_.surfaces(), level, march_.surfaces, march_.surfaceSum);
+                crossSurfaces(level, hn::MulAdd(begin, dw, w), wb, texel, i,
+                              hn::And(alive, hn::Lt(begin, sNext)));
             }
 
             alive = hn::And(alive, hn::Lt(sNext, end));
@@ -377,7 +420,6 @@ void Kernel::walk(int level, bool last) {
             alive = hn::And(alive, hn::RebindMask(d, inside));
             if (hn::AllFalse(d, alive)) break;
         }
-        hn::Store(steps, di, march_.steps + i);
     }
     if (sheets_)
         answerSheets(level);

@@ -39,7 +39,7 @@ namespace mtsm::trace {
 struct DensityOptions {
     /// Slabs are merged up to this optical depth, and to this length in footprints of the
     /// level's texels.
-    double depth = 0.4;
+    double depth = 0.8;
     double length = 4.0;
     /// Levels below are left out: 1 takes a fifth of the memory of 0 for fur, for rays
     /// whose way near the receiver is answered from elsewhere.

@@ -1,19 +1,22 @@
 // bench_media_trace - the density pyramid against the definition: time per ray and error.
 //
-//     bench_media_trace MAP.mtsm [RADIUS_FACTOR]
+//     bench_media_trace MAP.mtsm [DEPTH LENGTH]...
 //
-// Points are taken within the medium (at layers of the map) and behind it, 16 neighbours
-// a group. Truth is the definition with 1024 rays a point; errors are those of points and
-// of the means of groups (16 points of a pixel, say). Each row traces the same points by
-// 4, 16 or 64 rays, one per cell of the light.
+// Points are taken within what lets light through (at layers of the map) and behind it,
+// 16 neighbours a group, groups anywhere. Truth is the definition with 1024 rays a point;
+// errors are those of points and of the means of groups (16 points of a pixel, say), and
+// of rays against the same ray by the definition. Rows: how much of the light's diameter
+// a texel may be; whole trees, those without level 0, and those whose slabs are merged up
+// to the DEPTH and LENGTH given (DensityOptions). Rays: one per cell of the light. Times
+// are medians of 5 runs in turn with the others'; a bundle's making is not in them.
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
-#include <cstring>
 #include <glm/geometric.hpp>
 #include <memory>
 #include <random>
+#include <string>
 #include <vector>
 
 #include "base/sampling.h"
@@ -122,98 +125,100 @@ void findTruth(const Scene& scene, std::vector<Group>& groups) {
     }
 }
 
+/// What one way of tracing gives for all groups, by the rays of one number of cells.
 struct Row {
-    double nanoseconds = 1e300, point = 0.0, mean = 0.0, bias = 0.0, perRay = 0.0;
+    std::string name;
+    const DensityTree* tree = nullptr;  ///< null: the definition
+    double texel = 0.0;                 ///< world units at the light
+    std::vector<double> seconds;        ///< of every run
+    double point = 0.0, group = 0.0, bias = 0.0, ray = 0.0;
 };
 
-void addErrors(const Group& group, const double (&visible)[kLanes], Row& row) {
-    double sum = 0.0;
-    for (int i = 0; i < kLanes; ++i) {
-        const double error = visible[i] - group.truth[i];
-        row.point += std::abs(error) / (kGroups * kLanes);
-        sum += error / kLanes;
+/// [group][cell * kLanes + lane]
+using Rays = std::vector<std::vector<Ray>>;
+using Visibilities = std::vector<std::vector<double>>;
+
+double defined(const Scene& scene, const Rays& rays, Visibilities& out) {
+    const auto start = Clock::now();
+    for (std::size_t g = 0; g < rays.size(); ++g) {
+        for (std::size_t r = 0; r < rays[g].size(); ++r)
+            out[g][r] = traceRay(scene.map, rays[g][r], scene.options)[0];
     }
-    row.mean += std::abs(sum) / kGroups;
-    row.bias += sum / kGroups;
+    return secondsSince(start);
 }
 
-void print(const char* name, int cells, const Row& row, double reference) {
-    std::printf(
-        "  %-28s %3d  %8.1f ns/ray %7.2f us/point %6.1fx  point %.4f  group %.4f"
-        "  bias %+.4f  ray %.4f\n",
-        name, cells, row.nanoseconds, row.nanoseconds * cells * 1e-3,
-        reference / row.nanoseconds, row.point, row.mean, row.bias, row.perRay);
-}
-
-void run(const Scene& scene, std::vector<Group>& groups,
-         const std::vector<std::pair<const char*, const DensityTree*>>& trees) {
-    findTruth(scene, groups);
+double traced(const Scene& scene, const Row& row, const Rays& rays, Visibilities& out) {
+    const Projection& p = scene.map.projection(0);
     const double zNear = test::nearestOf(scene.map, 0);
     const auto bundle = std::make_unique<RayBundle>();
     const auto depths = std::make_unique<RayDepths>();
+    double seconds = 0.0;
+    for (std::size_t g = 0; g < rays.size(); ++g) {
+        *bundle = {};
+        bundle->blocks = int(rays[g].size()) / kLanes;
+        for (std::size_t r = 0; r < rays[g].size(); ++r)
+            test::put(*bundle, int(r) / kLanes, int(r) % kLanes,
+                      test::straighten(p, rays[g][r], zNear, row.texel));
+        const auto start = Clock::now();
+        *depths = {};
+        traceDensity(*row.tree, {scene.options.bias}, *bundle, *depths);
+        seconds += secondsSince(start);
+        for (std::size_t r = 0; r < rays[g].size(); ++r) {
+            const double v = std::exp(-depths->depth[0][r / kLanes][r % kLanes]);
+            out[g][r] = v <= kThreshold ? 0.0 : v;
+        }
+    }
+    return seconds;
+}
+
+void findErrors(const std::vector<Group>& groups, const Visibilities& exact,
+                const Visibilities& found, Row& row) {
+    row.point = row.group = row.bias = row.ray = 0.0;
+    for (std::size_t g = 0; g < groups.size(); ++g) {
+        const std::size_t count = found[g].size();
+        double visible[kLanes] = {}, sum = 0.0;
+        for (std::size_t r = 0; r < count; ++r) {
+            visible[r % kLanes] += found[g][r] * kLanes / double(count);
+            row.ray += std::abs(found[g][r] - exact[g][r]) / (double(count) * kGroups);
+        }
+        for (int i = 0; i < kLanes; ++i) {
+            row.point += std::abs(visible[i] - groups[g].truth[i]) / (kGroups * kLanes);
+            sum += (visible[i] - groups[g].truth[i]) / kLanes;
+        }
+        row.group += std::abs(sum) / kGroups;
+        row.bias += sum / kGroups;
+    }
+}
+
+double medianNanoseconds(Row& row, int cells) {
+    std::sort(row.seconds.begin(), row.seconds.end());
+    return row.seconds[row.seconds.size() / 2] * 1e9 / (double(kGroups) * kLanes * cells);
+}
+
+void run(const Scene& scene, std::vector<Group>& groups, const std::vector<Row>& kinds) {
+    findTruth(scene, groups);
     for (const int cells : {4, 16, 64}) {
-        const int repeats = 5;
-        std::vector<std::vector<Ray>> rays;
+        Rays rays;
         for (std::size_t g = 0; g < groups.size(); ++g)
             rays.push_back(raysOf(scene, groups[g], cells, g));
-        Row scalar;
-        std::vector<std::vector<double>> exact(groups.size());
-        for (int repeat = 0; repeat < 2; ++repeat) {
-            Row row;
-            double seconds = 0.0;
-            for (std::size_t g = 0; g < groups.size(); ++g) {
-                double visible[kLanes] = {};
-                exact[g].clear();
-                const auto start = Clock::now();
-                for (std::size_t r = 0; r < rays[g].size(); ++r) {
-                    exact[g].push_back(traceRay(scene.map, rays[g][r], scene.options)[0]);
-                    visible[r % kLanes] += exact[g].back() / cells;
-                }
-                seconds += secondsSince(start);
-                addErrors(groups[g], visible, row);
+        Visibilities exact(groups.size(), std::vector<double>(rays[0].size()));
+        Visibilities found = exact;
+        std::vector<Row> rows = kinds;
+        for (int repeat = 0; repeat < 5; ++repeat) {
+            for (Row& row : rows) {
+                row.seconds.push_back(row.tree ? traced(scene, row, rays, found)
+                                               : defined(scene, rays, exact));
+                findErrors(groups, exact, row.tree ? found : exact, row);
             }
-            row.nanoseconds = seconds * 1e9 / (double(kGroups) * kLanes * cells);
-            if (row.nanoseconds < scalar.nanoseconds) scalar = row;
         }
-        print("definition", cells, scalar, scalar.nanoseconds);
-        for (const auto& [name, tree] : trees) {
-            for (const double part : {0.0, 1.0 / 16, 1.0 / 8, 1.0 / 4}) {
-                Row best;
-                for (int repeat = 0; repeat < repeats; ++repeat) {
-                    Row row;
-                    double seconds = 0.0;
-                    for (std::size_t g = 0; g < groups.size(); ++g) {
-                        bundle->blocks = cells;
-                        std::memset(bundle->open, 0, sizeof bundle->open);
-                        for (std::size_t r = 0; r < rays[g].size(); ++r)
-                            test::put(
-                                *bundle, int(r) / kLanes, int(r) % kLanes,
-                                test::straighten(scene.map.projection(0), rays[g][r],
-                                                 zNear, part * scene.diameter));
-                        const auto start = Clock::now();
-                        *depths = {};
-                        traceDensity(*tree, {scene.options.bias}, *bundle, *depths);
-                        seconds += secondsSince(start);
-                        double visible[kLanes] = {};
-                        for (int b = 0; b < cells; ++b) {
-                            for (int i = 0; i < kLanes; ++i) {
-                                double v = std::exp(-depths->depth[0][b][i]);
-                                if (v <= kThreshold) v = 0.0;
-                                visible[i] += v / cells;
-                                row.perRay +=
-                                    std::abs(v - exact[g][std::size_t(b * kLanes + i)]) /
-                                    (double(kGroups) * kLanes * cells);
-                            }
-                        }
-                        addErrors(groups[g], visible, row);
-                    }
-                    row.nanoseconds = seconds * 1e9 / (double(kGroups) * kLanes * cells);
-                    if (row.nanoseconds < best.nanoseconds) best = row;
-                }
-                char label[64];
-                std::snprintf(label, sizeof label, "%s, texel %.3f", name, part);
-                print(label, cells, best, scalar.nanoseconds);
-            }
+        const double reference = medianNanoseconds(rows[0], cells);
+        for (Row& row : rows) {
+            const double ns = medianNanoseconds(row, cells);
+            std::printf(
+                "  %2d rays  %-26s %8.1f ns a ray, %6.1f times, %7.2f us a point; "
+                "error point %.4f, group %.4f, bias %+.4f, ray %.4f\n",
+                cells, row.name.c_str(), ns, reference / ns, ns * cells * 1e-3, row.point,
+                row.group, row.bias, row.ray);
         }
     }
 }
@@ -221,8 +226,8 @@ void run(const Scene& scene, std::vector<Group>& groups,
 }  // namespace
 
 int main(int argc, char** argv) {
-    if (argc < 2) {
-        std::fprintf(stderr, "usage: bench_media_trace MAP.mtsm [RADIUS_FACTOR]\n");
+    if (argc < 2 || argc % 2 != 0) {
+        std::fprintf(stderr, "usage: bench_media_trace MAP.mtsm [DEPTH LENGTH]...\n");
         return 2;
     }
     auto map = readMap(argv[1]);
@@ -230,41 +235,47 @@ int main(int argc, char** argv) {
         std::fprintf(stderr, "%s\n", map.error().message.c_str());
         return exitCode(map.error().code);
     }
-    std::vector<std::pair<const char*, DensityOptions>> kinds = {
-        {"all", {}}, {"from level 1", {0.4, 4.0, 1}}};
+    const AreaLight& light = map->info().light;
+    TraceOptions options;
+    options.bias = {map->info().bias, map->info().biasPerDepth};
+    options.threshold = kThreshold;
+    const Scene scene{*map, light::LightSampler(light), 2.0 * light.radius, options};
+
+    std::vector<std::pair<std::string, DensityOptions>> kinds = {{"", {}}};
+    kinds.push_back({", no level 0", {}});
+    kinds.back().second.finest = 1;
+    for (int i = 2; i < argc; i += 2)
+        kinds.push_back({std::string(", ") + argv[i] + " " + argv[i + 1],
+                         {std::atof(argv[i]), std::atof(argv[i + 1])}});
     std::vector<DensityTree> trees;
-    for (const auto& [name, options] : kinds) {
+    trees.reserve(kinds.size());
+    std::vector<Row> rows(1);
+    rows[0].name = "definition";
+    for (const auto& [name, built] : kinds) {
         const auto start = Clock::now();
-        auto tree = DensityTree::build(*map, 0, options);
+        auto tree = DensityTree::build(*map, 0, built);
         const double seconds = secondsSince(start);
         if (!tree) {
             std::fprintf(stderr, "%s\n", tree.error().message.c_str());
             return exitCode(tree.error().code);
         }
-        std::printf("%s: %.0f ms, %.1f MB, slabs of levels", name, seconds * 1e3,
-                    double(tree->memoryBytes()) * 1e-6);
-        for (const DensityLevel& level : tree->translucent().levels) {
-            if (level.texels.empty()) continue;
-            const double slabs = double(level.slabs.size()) / 2;
-            std::printf(" %.0f (%.1f)", slabs,
-                        slabs / (double(level.width) * level.height));
-        }
-        std::printf("\n");
         trees.push_back(*std::move(tree));
+        std::printf("tree%s: %.0f ms, %.1f MB of the map's %.1f\n", name.c_str(),
+                    seconds * 1e3, double(trees.back().memoryBytes()) * 1e-6,
+                    double(map->memoryBytes()) * 1e-6);
+        for (const int part : {0, 16, 8, 4}) {
+            Row row;
+            row.name =
+                (part ? "texel 1/" + std::to_string(part) : "single pixels") + name;
+            row.tree = &trees.back();
+            row.texel = part ? scene.diameter / part : 0.0;
+            rows.push_back(row);
+        }
     }
-    AreaLight light = map->info().light;
-    light.radius *= argc > 2 ? std::atof(argv[2]) : 1.0;
-    TraceOptions options;
-    options.bias = {map->info().bias, map->info().biasPerDepth};
-    options.threshold = kThreshold;
-    const Scene scene{*map, light::LightSampler(light), 2.0 * light.radius, options};
-    std::vector<std::pair<const char*, const DensityTree*>> named;
-    for (std::size_t i = 0; i < trees.size(); ++i)
-        named.emplace_back(kinds[i].first, &trees[i]);
-    std::printf("points in the medium\n");
-    std::vector<Group> inside = makeGroups(*map, 0.0);
-    run(scene, inside, named);
-    std::printf("points behind it\n");
+    std::printf("points within\n");
+    std::vector<Group> within = makeGroups(*map, 0.0);
+    run(scene, within, rows);
+    std::printf("points behind\n");
     std::vector<Group> behind = makeGroups(*map, 1.05 * map->zRange(0).max);
-    run(scene, behind, named);
+    run(scene, behind, rows);
 }
