@@ -19,7 +19,7 @@ constexpr std::uint32_t kRowsPerTask = 16;
 constexpr std::uint64_t kMostTexels = std::uint64_t(1) << 28;
 /// What lies at one depth is given this length, of its w: enough for floats to tell parts
 /// of it, and far below a pixel's footprint.
-constexpr float kThinnest = 0x1p-16f;
+constexpr float kThinnest = 0x1p-19f;
 /// A slab's depth is off by at most about this where a ray begins in it, or by a share of
 /// 1 / kMostPieces of its layer's.
 constexpr float kUneven = 0.004f;
@@ -178,7 +178,10 @@ class PixelSlabs {
         return between(straight(z), straight(z), depth);
     }
     static Slab between(float low, float high, Depths depth) {
-        return {low, std::max(high, low + thinnest(low)), depth};
+        const float least = thinnest(low);
+        if (high - low >= least) return {low, high, depth};
+        const float middle = 0.5f * (low + high);
+        return {middle - 0.5f * least, middle + 0.5f * least, depth};
     }
 
     /// The samples of layer i: spread from the layer before to its own depth. Where they
