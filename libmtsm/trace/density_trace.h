@@ -1,4 +1,5 @@
-// density_trace.h - the optical depth that the rays of a bundle meet in a map of media.
+// density_trace.h - the optical depth that the rays of a bundle meet in a map that is not
+// opaque: the fast trace of media and sheets.
 //
 //     RayDepths depths{};                                    // all 0
 //     for (each face) {
@@ -9,20 +10,23 @@
 //     is the threshold or less
 //
 // What a caller fills in (bundle.h). For a receiver P of depth z, L its way to a point of
-// the light, z1 = z + t1 L.z the depth of the ray's end, at t1 of its way: at the latest
-// where it leaves the depths of the map (pyramid.low and .high, media and surfaces, tell)
-// and always in front of the eye.
-// - u, v, w: P's raster position and 1/z (perspective) or -z (orthographic). A point at t
-//   of the way is at s = t / t1 of an orthographic ray, at s = (t / t1) z1 / (z + t L.z)
+// the light, whose depth along L changes by l: the ray ends at t1 of its way, at depth
+// z1 = z + t1 l, and that is at the latest where it leaves the depths of the map
+// (DensityPyramid::low and high; a bias further for surfaces, two for sheets) and always
+// in front of the eye.
+// - u, v, w: P's raster position and 1/z (perspective) or -z (orthographic). The point at
+//   t of the way is at s = t / t1 of an orthographic ray, at s = (t / t1) z1 / (z + t l)
 //   of a perspective one.
-// - begin: where media begin to count, s of the point kMediaStart pixel footprints from P
-//   (0 with a normal, or where the ray is far enough above the receiver's plane).
-// - beginSurfaces: the same for opaque surfaces: kStartBiases times the bias from P, or
-//   where the ray is clear of the receiver's own surface.
-// - texel: pixels between the ends (s = 1) of neighbouring rays times the part of that
-//   which a texel may be. Rays to points D apart on the light end D t1 / f pixels apart,
-//   f = pixelFootprint(z1). With a quarter of the light's diameter as D t1 the mean over
-//   the light is off by less than with 64 rays they differ (tests/bench/NOTES.md).
+// - begin: where media begin to count, the s of the point kMediaStart pixel footprints
+//   from P; with a normal, where the ray is clear of the receiver's plane. Of sheets:
+//   as of surfaces.
+// - beginSurfaces: the s of the point kStartBiases times the bias from P, or where the
+//   ray is clear of the receiver's plane. What is in front of `begin` does not count
+//   either way.
+// - texel: how large a texel may be at s = 1, pixels: D t1 / f, f = pixelFootprint(z1), D
+//   the part of the light's diameter that a texel may be as P sees it. 1/4 is good for up
+//   to 16 rays a point, 1/8 for 64 (tests/bench/NOTES.md). A ray that comes from another
+//   face begins where it enters this one: its texels are then finer than they need be.
 // Rays that are not finite, and lanes whose open bit is not set, meet nothing.
 //
 // How a ray goes. At s it walks the texels of the level whose texels are at most texel s
@@ -31,11 +35,18 @@
 // Sixteen rays step at a time; texels with something in their way wait in a short queue,
 // and each is then answered with as many of its slabs at once as a vector has lanes.
 //
-// Against the definition (traverse.h) with texel = 0
-// and Attenuation::multiply: the samples of a layer are spread evenly over it, instead of
-// being met one by one; what lies within a float's rounding of a pixel's border may be
-// met on the other side; and a ray's stretch is capped at 16 times that of the centre ray
-// at its start, instead of in every pixel. A receiver's plane is the caller's matter.
+// Against the definition (traverse.h) with texel = 0 and Attenuation::multiply (a map
+// asked with `subtract` stays with the definition):
+// - the samples of a layer are spread evenly over it, instead of being met one by one;
+// - what lies within a float's rounding of where a ray changes pixels, or of the bias,
+// may
+//   be met or not;
+// - a ray's stretch is capped at 16 times that of the centre ray at its start, instead of
+//   that of every pixel;
+// - of several sheets within two biases of one another, of which a ray has paid for some
+//   in the pixel before, parts of each are not paid for again, instead of the nearest.
+// Above level 0 sheets are met within the bias times the texel's side in pixels. The
+// receiver's plane is the caller's matter.
 #pragma once
 #include "trace/bundle.h"
 #include "trace/density_tree.h"
@@ -44,7 +55,7 @@
 namespace mtsm::trace {
 
 struct DensityTraceOptions {
-    ZBias bias;  ///< of surfaces
+    ZBias bias;  ///< of surfaces and sheets
     /// A ray that has met this much in every channel is not followed further.
     float darkDepth = 6.931472f;  // visibility 1/1024
 };
