@@ -500,6 +500,7 @@ void Kernel::answerSheets(int level) {
         auto near = zero, goesOn = zero, goesOnIfKnown = zero;
         // [channel]: depths met, and of those near the way in.
         float depthMet[3] = {}, depthNear[3] = {};
+        bool any = false;
         for (std::uint32_t k = 0; k < texel.count; k += lanes) {
             const auto valid = hn::FirstN(du, texel.count - k);
             const auto plane = [&](std::uint32_t n) {
@@ -521,7 +522,9 @@ void Kernel::answerSheets(int level) {
                                   hn::Add(hn::Max(enter, exit), bias));
             const auto entered = part(hn::Sub(enter, step), hn::Add(enter, step));
             const auto left = part(hn::Sub(exit, nextStep), hn::Add(exit, nextStep));
+            if (hn::AllFalse(d, hn::Gt(hn::Add(met, entered), zero))) continue;
             near = hn::Add(near, entered);
+            any = true;
             goesOn = hn::Add(goesOn, hn::Min(met, left));
             goesOnIfKnown = hn::Add(goesOnIfKnown, hn::Min(hn::Max(met, entered), left));
             for (std::uint32_t c = 0; c < channels; ++c) {
@@ -535,6 +538,10 @@ void Kernel::answerSheets(int level) {
             }
         }
         float& paid = march_.paid[ray];
+        if (!any) {
+            paid = 0.0f;
+            continue;
+        }
         const float nearby = total(near);
         const float known =
             straightOn && nearby > 0.0f ? std::min(paid / nearby, 1.0f) : 0.0f;
