@@ -163,6 +163,18 @@ class Kernel {
         if (hits.count > Hits::kRoom) answerSheets(level);
     }
 
+    /// Where a level has texel (x, y).
+    template <class VI>
+    static VI texelAt(VI x, VI y, VI tilesX) {
+        const Ints di;
+        constexpr int kShift = DensityLevel::kTileShift;
+        const VI inTile = hn::Set(di, (1 << kShift) - 1);
+        const VI tile = hn::Add(hn::Mul(hn::ShiftRight<kShift>(y), tilesX),
+                                hn::ShiftRight<kShift>(x));
+        const VI row = hn::Add(hn::ShiftLeft<kShift>(tile), hn::And(y, inTile));
+        return hn::Add(hn::ShiftLeft<kShift>(row), hn::And(x, inTile));
+    }
+
     /// Do the texels' slabs reach into [low, high]?
     template <class V, class VI>
     auto meets(const DensityLevel& texels, VI texel, V low, V high) const {
@@ -337,6 +349,7 @@ void Kernel::walk(int level, bool last) {
     const auto zero = hn::Zero(d);
     const auto width = hn::Set(di, std::int32_t(texels.width));
     const auto height = hn::Set(di, std::int32_t(texels.height));
+    const auto tilesX = hn::Set(di, std::int32_t(texels.tilesX()));
     std::uint32_t ahead = 0;  // rays that go on behind this level
 
     for (int i = 0; i < kLanes; i += lanes) {
@@ -389,8 +402,8 @@ void Kernel::walk(int level, bool last) {
 
         for (;;) {
             const auto sNext = hn::Max(s, hn::Min(end, hn::Min(nextU, nextV)));
-            const auto texel = hn::IfThenElseZero(hn::RebindMask(di, alive),
-                                                  hn::Add(hn::Mul(y, width), x));
+            const auto texel =
+                hn::IfThenElseZero(hn::RebindMask(di, alive), texelAt(x, y, tilesX));
             const auto wa = hn::MulAdd(s, dw, w), wb = hn::MulAdd(sNext, dw, w);
             if (translucent && !sheets_)
                 crossMedia(level, hn::Min(wa, wb), hn::Max(wa, wb), texel, i, alive);

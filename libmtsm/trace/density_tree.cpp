@@ -14,7 +14,7 @@
 namespace mtsm::trace {
 namespace {
 
-constexpr std::uint32_t kRowsPerTask = 16;
+constexpr std::uint32_t kTileRowsPerTask = 2;
 /// Vectors index the words of texels by 31 bits.
 constexpr std::uint64_t kMostTexels = std::uint64_t(1) << 28;
 /// What lies at one depth is given this length, of its w: enough for floats to tell parts
@@ -268,14 +268,14 @@ bool assemble(std::vector<Rows>& tasks, std::uint32_t channels, DensityLevel& le
     for (std::size_t t = 0; t < tasks.size(); ++t)
         first[t + 1] = first[t] + tasks[t].slabs.size();
     if (first.back() > std::numeric_limits<std::uint32_t>::max() - kLanes) return false;
-    level.texels.resize(std::size_t(level.width) * level.height);
+    level.texels.resize(std::size_t(level.tilesX()) * level.tilesY() * 64);
     level.slabs.resize(first.back() + kLanes);
     base::parallelFor(std::size_t(0), tasks.size(), [&](std::size_t task) {
         Rows& rows = tasks[task];
         std::copy(rows.slabs.begin(), rows.slabs.end(),
                   level.slabs.begin() + std::ptrdiff_t(first[task]));
         std::uint64_t begin = first[task];
-        std::size_t to = task * kRowsPerTask * level.width;
+        std::size_t to = task * kTileRowsPerTask * level.tilesX() * 64;
         for (DensityTexel texel : rows.texels) {
             texel.begin = std::uint32_t(begin);
             begin += texel.count * wordsOf(channels);
@@ -286,13 +286,26 @@ bool assemble(std::vector<Rows>& tasks, std::uint32_t channels, DensityLevel& le
     return true;
 }
 
-/// make(y0, y1, rows) appends the texels of rows [y0, y1).
+/// makeTexels() gives each thread's texel(x, y, slabs), which lists the slabs of a texel.
 template <typename MakeTexels>
-bool makeLevel(std::uint32_t channels, DensityLevel& level, const MakeTexels& make) {
-    std::vector<Rows> tasks((level.height + kRowsPerTask - 1) / kRowsPerTask);
+bool makeLevel(std::uint32_t channels, DensityLevel& level,
+               const MakeTexels& makeTexels) {
+    std::vector<Rows> tasks((level.tilesY() + kTileRowsPerTask - 1) / kTileRowsPerTask);
     base::parallelFor(std::size_t(0), tasks.size(), [&](std::size_t task) {
-        const auto y0 = std::uint32_t(task) * kRowsPerTask;
-        make(y0, std::min(level.height, y0 + kRowsPerTask), tasks[task]);
+        auto texel = makeTexels();
+        std::vector<Slab> slabs;
+        const std::uint32_t first = std::uint32_t(task) * kTileRowsPerTask;
+        const std::uint32_t end = std::min(first + kTileRowsPerTask, level.tilesY());
+        for (std::uint32_t tile = first * level.tilesX(); tile < end * level.tilesX();
+             ++tile) {
+            for (std::uint32_t i = 0; i < 64; ++i) {
+                const std::uint32_t x = tile % level.tilesX() * 8 + i % 8;
+                const std::uint32_t y = tile / level.tilesX() * 8 + i / 8;
+                slabs.clear();
+                if (x < level.width && y < level.height) texel(x, y, slabs);
+                tasks[task].append(slabs, channels);
+            }
+        }
     });
     return assemble(tasks, channels, level);
 }
@@ -302,16 +315,11 @@ bool makePixels(const ShadowMap& map, std::uint32_t face, bool surfaces,
     level.width = map.info().width;
     level.height = map.info().height;
     const PixelSlabs pixels(map, face);
-    return makeLevel(
-        map.info().channels, level, [&](std::uint32_t y0, std::uint32_t y1, Rows& rows) {
-            std::vector<Slab> slabs;
-            for (std::uint32_t y = y0; y < y1; ++y) {
-                for (std::uint32_t x = 0; x < level.width; ++x) {
-                    pixels.read(map.pixel(face, x, y), x, y, surfaces, slabs);
-                    rows.append(slabs, map.info().channels);
-                }
-            }
-        });
+    return makeLevel(map.info().channels, level, [&] {
+        return [&](std::uint32_t x, std::uint32_t y, std::vector<Slab>& slabs) {
+            pixels.read(map.pixel(face, x, y), x, y, surfaces, slabs);
+        };
+    });
 }
 
 /// Reads a texel's list from its front.
@@ -324,9 +332,7 @@ struct ListReader {
 
     ListReader(const DensityLevel& from, std::uint32_t x, std::uint32_t y,
                std::uint32_t channelCount)
-        : level(&from),
-          texel(&from.texels[std::size_t(y) * from.width + x]),
-          channels(channelCount) {
+        : level(&from), texel(&from.texel(x, y)), channels(channelCount) {
         take();
     }
     void take() {
@@ -467,24 +473,17 @@ bool makeCoarser(const DensityLevel& fine, std::uint32_t channels, Limits limits
                  DensityLevel& level) {
     level.width = (fine.width + 1) / 2;
     level.height = (fine.height + 1) / 2;
-    const auto make = [&](std::uint32_t y0, std::uint32_t y1, Rows& rows) {
-        Merger merger(channels, limits);
-        std::vector<Slab> merged;
-        std::vector<ListReader> lists;
-        for (std::uint32_t y = y0; y < y1; ++y) {
-            for (std::uint32_t x = 0; x < level.width; ++x) {
-                lists.clear();
-                for (std::uint32_t v = 2 * y; v < std::min(2 * y + 2, fine.height); ++v) {
-                    for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, fine.width);
-                         ++u)
-                        lists.emplace_back(fine, u, v, channels);
-                }
-                merger.merge(lists, merged);
-                rows.append(merged, channels);
+    return makeLevel(channels, level, [&] {
+        return [&, merger = Merger(channels, limits), lists = std::vector<ListReader>()](
+                   std::uint32_t x, std::uint32_t y, std::vector<Slab>& slabs) mutable {
+            lists.clear();
+            for (std::uint32_t v = 2 * y; v < std::min(2 * y + 2, fine.height); ++v) {
+                for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, fine.width); ++u)
+                    lists.emplace_back(fine, u, v, channels);
             }
-        }
-    };
-    return makeLevel(channels, level, make);
+            merger.merge(lists, slabs);
+        };
+    });
 }
 
 bool makePyramid(const ShadowMap& map, std::uint32_t face, Kind kind,

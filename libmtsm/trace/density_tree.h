@@ -56,8 +56,9 @@ struct DensityTexel {
     std::uint32_t begin = 0, count = 0;  ///< where the list is in DensityLevel::slabs
 };
 
-/// One resolution. Texels are row-major. The list of n slabs that begins at word b is in
-/// three parts, so that a vector holds one of many:
+/// One resolution. Texels lie in tiles of 8 x 8, tiles and the texels of each row by row:
+/// what a ray and its neighbours meet is close together. The list of n slabs that begins
+/// at word b is in three parts, so that a vector holds one of many:
 /// - b .. b + n: where slabs begin, floats, ascending;
 /// - the next n: two numbers each, the upper 16 bits of floats: the length (upper half;
 ///   > 0) and the optical depth of channel 0 per unit of w (>= 0). What lies between low
@@ -65,9 +66,24 @@ struct DensityTexel {
 /// - in maps of three channels another n: the same of channels 1 (upper half) and 2.
 /// A vector's room of words lies behind the last list.
 struct DensityLevel {
+    static constexpr std::uint32_t kTileShift = 3;
+
     std::uint32_t width = 0, height = 0;
-    std::vector<DensityTexel> texels;
+    std::vector<DensityTexel> texels;  ///< [tilesY][tilesX][8][8]
     std::vector<std::uint32_t> slabs;
+
+    [[nodiscard]] std::uint32_t tilesX() const noexcept {
+        return (width + 7) >> kTileShift;
+    }
+    [[nodiscard]] std::uint32_t tilesY() const noexcept {
+        return (height + 7) >> kTileShift;
+    }
+    [[nodiscard]] const DensityTexel& texel(std::uint32_t x,
+                                            std::uint32_t y) const noexcept {
+        const std::size_t tile =
+            std::size_t(y >> kTileShift) * tilesX() + (x >> kTileShift);
+        return texels[tile * 64 + (y & 7) * 8 + (x & 7)];
+    }
 };
 
 /// From level `finest` to one of a single texel.
