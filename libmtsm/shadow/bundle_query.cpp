@@ -3,9 +3,11 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <glm/common.hpp>
 #include <glm/matrix.hpp>
 
 #include "base/sampling.h"
+#include "trace/density_trace.h"
 #include "trace/near_trace.h"
 #include "trace/patch_trace.h"
 
@@ -15,6 +17,9 @@ namespace {
 /// Points whose raster position is further from the window than this many times its size
 /// are left to the scalar trace.
 constexpr float kFarthestOutside = 8.0f;
+
+/// Trees count in 32 bits.
+constexpr std::uint64_t kMostLayers = std::uint64_t(1) << 31;
 
 /// The near field answers for so many pixel footprints of depth.
 constexpr double kNearDepth = 16.0;
@@ -40,8 +45,16 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
         setting.nearHeight = getenv("NH") ? atof(getenv("NH")) : kNearHeight;
         setting.nearStart = kNearStart;
     }
-    return LightRays(map.projection(0), map.info().width, map.info().height,
-                     map.zRange(0), light, setting);
+    setting.media = !map.isOpaque();
+    // Sheets are met within two biases.
+    ZRange depths = map.zRange(0);
+    const trace::ZBias bias = biasOf(map, options.bias);
+    const bool perspective = map.projection(0).kind == ProjectionKind::perspective;
+    const auto nearest = float(depths.min - 2.0 * bias.at(depths.min));
+    depths.min = perspective ? std::max(nearest, depths.min * 0x1p-10f) : nearest;
+    depths.max += float(2.0 * bias.at(depths.max));
+    return LightRays(map.projection(0), map.info().width, map.info().height, depths,
+                     light, setting);
 }
 
 /// Spreads the lowest 10 bits, two zeros between each.
@@ -62,8 +75,11 @@ float sum(std::uint32_t rays, const float* weights) {
 }  // namespace
 
 bool BundleQuery::serves(const ShadowMap& map, const ShadowOptions& options) noexcept {
-    return options.method == ShadowMethod::trace && map.isOpaque() &&
-           map.faceCount() == 1 && map.layerCount() > 0;
+    if (options.method != ShadowMethod::trace || map.faceCount() != 1 ||
+        map.layerCount() == 0 || map.layerCount() > kMostLayers)
+        return false;
+    if (map.isOpaque()) return true;
+    return options.attenuation == Attenuation::multiply && trace::densityTree(map);
 }
 
 BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
@@ -73,7 +89,9 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
       light_(light),
       options_(options),
       bias_(biasOf(map, options.bias)),
-      tree_(trace::patchTrees(map)[0]),
+      patches_(map.isOpaque() ? &trace::patchTrees(map)[0] : nullptr),
+      density_(map.isOpaque() ? nullptr : trace::densityTree(map)),
+      media_(map.info().translucent == Translucent::media),
       samples_(light_.isPoint()
                    ? 1u
                    : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples))) {
@@ -164,7 +182,10 @@ void BundleQuery::setLane(const Receiver& receiver, int lane,
     if (size > 0.0) normal *= 1.0 / size;
     set(lanes.normalX, lanes.normalY, lanes.normalZ, normal);
     lanes.capHeight[lane] = float(capHeight);
-    lanes.start[lane] = float(kStartBiases * bias_.at(p.z));
+    lanes.surfaceStart[lane] = float(kStartBiases * bias_.at(p.z));
+    lanes.mediaStart[lane] =
+        media_ ? float(kMediaStart * projection_.pixelFootprint(std::abs(p.z)))
+               : lanes.surfaceStart[lane];
     lanes.key[lane] = keyOf(receiver);
 }
 
@@ -177,7 +198,47 @@ void BundleQuery::traceNear(trace::RayBundle& bundle,
         std::copy_n(fates.layersBegin[row], trace::kLanes, bundle.begin[row]);
 }
 
-void BundleQuery::shadowFactors(const Receiver* receivers, int count, float* out,
+/// Adds what the bundle's rays leave of the light to `visible`.
+void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates, bool weights,
+                         glm::vec3* visible) const noexcept {
+    const int rows = bundle.receivers * bundle.groups;
+    if (patches_) {
+        if (!map_.nearField(0).empty()) traceNear(bundle, fates);
+        trace::tracePatches(*patches_, bundle);
+        for (int row = 0; row < rows; ++row) {
+            const std::uint32_t left = bundle.open[row] | fates.clear[row];
+            visible[row / bundle.groups] +=
+                weights ? sum(left, fates.weight[row]) : float(std::popcount(left));
+        }
+        return;
+    }
+    const std::uint32_t channels = map_.info().channels;
+    std::uint16_t followed[trace::kMostRows];
+    std::copy_n(bundle.open, rows, followed);
+    trace::RayDepths depths;
+    for (std::uint32_t c = 0; c < channels; ++c)
+        std::fill_n(depths.depth[c][0], std::size_t(rows) * trace::kLanes, 0.0f);
+    trace::DensityTraceOptions options;
+    options.bias = bias_;
+    const double threshold = thresholdOf(options_.threshold);
+    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
+    trace::traceDensity(*density_, options, bundle, depths);
+    for (int row = 0; row < rows; ++row) {
+        for (std::uint32_t c = 0; c < 3; ++c) {
+            float& sum = visible[row / bundle.groups][int(c)];
+            const float* depth = depths.depth[c < channels ? c : 0][row];
+            for (int i = 0; i < trace::kLanes; ++i) {
+                const float weight = weights ? fates.weight[row][i] : 1.0f;
+                if (fates.clear[row] >> i & 1) sum += weight;
+                if (!(followed[row] >> i & 1)) continue;
+                const float v = std::exp(-depth[i]);
+                if (v > float(threshold)) sum += weight * v;
+            }
+        }
+    }
+}
+
+void BundleQuery::shadowFactors(const Receiver* receivers, int count, glm::vec3* out,
                                 QueryStats& stats) const noexcept {
     const bool normals = receivers[0].normal != glm::dvec3(0.0);
     const bool weights = normals && options_.weight == Weight::cosine;
@@ -189,7 +250,8 @@ void BundleQuery::shadowFactors(const Receiver* receivers, int count, float* out
 
     trace::RayBundle bundle;
     RayFates fates;
-    float visible[trace::kMostReceivers] = {}, total[trace::kMostReceivers] = {};
+    glm::vec3 visible[trace::kMostReceivers] = {};
+    float total[trace::kMostReceivers] = {};
     bool above[trace::kMostReceivers] = {};  // has it rays above its horizon?
     const int atOnce = trace::kMostRows / count;
     for (int first = 0; first < rays.groups(); first += atOnce) {
@@ -200,19 +262,13 @@ void BundleQuery::shadowFactors(const Receiver* receivers, int count, float* out
             above[row / bundle.groups] |= counted != 0;
             if (weights) total[row / bundle.groups] += sum(counted, fates.weight[row]);
         }
-        if (!map_.nearField(0).empty()) traceNear(bundle, fates);
-        trace::tracePatches(tree_, bundle);
-        for (int row = 0; row < bundle.receivers * bundle.groups; ++row) {
-            const std::uint32_t left = bundle.open[row] | fates.clear[row];
-            visible[row / bundle.groups] +=
-                weights ? sum(left, fates.weight[row]) : float(std::popcount(left));
-        }
+        follow(bundle, fates, weights, visible);
     }
     for (int i = 0; i < count; ++i) {
         if (!weights) total[i] = float(samples_);
         // All weights may vanish in the distance; below the horizon all is dark.
-        out[i] = total[i] > 0.0f ? std::clamp(1.0f - visible[i] / total[i], 0.0f, 1.0f)
-                                 : (above[i] ? 0.0f : 1.0f);
+        out[i] = total[i] > 0.0f ? glm::clamp(1.0f - visible[i] / total[i], 0.0f, 1.0f)
+                                 : glm::vec3(above[i] ? 0.0f : 1.0f);
     }
 }
 

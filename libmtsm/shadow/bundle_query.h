@@ -1,5 +1,5 @@
-// bundle_query.h - shadow factors of many points of an opaque map at once: neighbours
-// share the way of their rays through the patch tree.
+// bundle_query.h - shadow factors of many points at once: neighbours share the way of
+// their rays through a map's trees.
 //
 // A point's answer does not depend on which others are asked with it.
 #pragma once
@@ -12,6 +12,7 @@
 #include "mtsm/shadow.h"
 #include "shadow/light_rays.h"
 #include "shadow/query.h"
+#include "trace/density_tree.h"
 #include "trace/patch_tree.h"
 
 namespace mtsm::shadow {
@@ -37,7 +38,7 @@ class BundleQuery {
     [[nodiscard]] std::optional<std::uint32_t> placeOf(glm::dvec3 point) const noexcept;
 
     /// Shadow factors of 1 to 16 receivers; counts rays.
-    void shadowFactors(const Receiver* receivers, int count, float* out,
+    void shadowFactors(const Receiver* receivers, int count, glm::vec3* out,
                        QueryStats& stats) const noexcept;
 
   private:
@@ -47,6 +48,8 @@ class BundleQuery {
     }
     void setLane(const Receiver& receiver, int lane, ReceiverLanes& lanes) const noexcept;
 
+    void follow(trace::RayBundle& bundle, const RayFates& fates, bool weights,
+                glm::vec3* visible) const noexcept;
     void traceNear(trace::RayBundle& bundle, const RayFates& fates) const noexcept;
 
     const ShadowMap& map_;
@@ -56,7 +59,9 @@ class BundleQuery {
     light::LightSampler light_;
     ShadowOptions options_;
     trace::ZBias bias_;
-    const trace::PatchTree& tree_;
+    const trace::PatchTree* patches_;    // of an opaque map
+    const trace::DensityTree* density_;  // of any other
+    bool media_;
     std::uint32_t samples_;
     std::optional<LightRays> withNormals_, without_;
     // Axes of the light in light space, if they are the same for all points.

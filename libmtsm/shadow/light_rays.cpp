@@ -23,7 +23,7 @@ struct FillInput {
     const LightRays::Points& points;
     int samples, firstGroup, groups;
     light::LightView::Domain domain;
-    bool endless, normals, weights;
+    bool endless, normals, weights, media;
     glm::vec3 shines;
 };
 
@@ -375,7 +375,7 @@ class Rays {
             begin = hn::Mul(constant(view_.planeHeight), per);
             nearBegin = hn::Mul(constant(view_.nearHeight), per);
         } else {
-            const Vec start = constant(in_.at.start[receiver_]);
+            const Vec start = constant(in_.at.surfaceStart[receiver_]);
             begin = fromStart(delta, end, last.z, start);
             nearBegin =
                 fromStart(delta, end, last.z, hn::Mul(start, constant(view_.nearStart)));
@@ -387,6 +387,12 @@ class Rays {
             hn::Store(hn::Max(hn::Max(begin, least), nearEnd), kF,
                       fates_.layersBegin[row] + i);
             begin = nearBegin;
+        }
+        if (in_.media) {
+            hn::Store(hn::Max(begin, least), kF, bundle_.beginSurfaces[row] + i);
+            if (!in_.normals)
+                begin =
+                    fromStart(delta, end, last.z, constant(in_.at.mediaStart[receiver_]));
         }
         hn::Store(hn::Max(begin, least), kF, bundle_.begin[row] + i);
         clear = hn::Or(clear, hn::Not(hn::Lt(begin, one)));
@@ -596,8 +602,9 @@ LightRays::LightRays(const Projection& p, std::uint32_t width, std::uint32_t hei
 void LightRays::fill(const ReceiverLanes& receivers, int first, int groups,
                      trace::RayBundle& bundle, RayFates& fates) const noexcept {
     const FillInput input{
-        receivers, view_,    points_,          int(setting_.samples), first,  groups,
-        domain_,   endless_, setting_.normals, setting_.weights,      shines_};
+        receivers,      view_,   points_,  int(setting_.samples), first,
+        groups,         domain_, endless_, setting_.normals,      setting_.weights,
+        setting_.media, shines_};
     HWY_DYNAMIC_DISPATCH(fill)(input, bundle, fates);
 }
 

@@ -27,7 +27,8 @@ struct ReceiverLanes {
     alignas(64) Lanes axisZX, axisZY, axisZZ;
     alignas(64) Lanes capHeight;
     alignas(64) Lanes normalX, normalY, normalZ;  // any length; zero: none
-    alignas(64) Lanes start;  // without normals: distance, world units
+    // Without normals: how far from it surfaces begin to count, and media; world units.
+    alignas(64) Lanes surfaceStart, mediaStart;
     std::uint32_t key[trace::kMostReceivers];
 };
 
@@ -55,11 +56,12 @@ class LightRays {
         std::uint32_t samples = 1;
         std::uint32_t seed = 0;
         bool normals = false, weights = false;
+        bool media = false;  ///< RayBundle::begin is of media, beginSurfaces matters
         double height = 0.0;
         double nearDepth = 0.0, nearHeight = 0.0, nearStart = 1.0;
         std::optional<std::uint32_t> onlyKey;
     };
-    /// `depths`: of all layers of the face.
+    /// `depths`: of all that there is to meet, biases included.
     LightRays(const Projection& projection, std::uint32_t width, std::uint32_t height,
               ZRange depths, const light::LightSampler& light, const Setting& setting);
 

@@ -57,7 +57,7 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
         for (std::size_t first = begin; first < end;) {
             const shadow::ReceiverOrder::Group group = order.group(first, end);
             shadow::BundleQuery::Receiver receivers[trace::kMostReceivers];
-            float factors[trace::kMostReceivers];
+            glm::vec3 factors[trace::kMostReceivers];
             for (std::size_t k = 0; k < group.count; ++k) {
                 const std::size_t i = order[first + k];
                 receivers[k].point = points[i];
@@ -71,7 +71,7 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
             }
             for (std::size_t k = 0; k < group.count; ++k) {
                 take(order[first + k],
-                     group.bundled ? glm::vec3(factors[k])
+                     group.bundled ? factors[k]
                                    : query.shadowFactor(receivers[k].point,
                                                         receivers[k].normal, part));
             }

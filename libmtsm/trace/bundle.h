@@ -32,8 +32,10 @@ struct RayBundle {
     alignas(64) float du[kMostRows][kLanes], dv[kMostRows][kLanes], dw[kMostRows][kLanes];
     /// [row][lane]: what is met at s <= begin does not count.
     alignas(64) float begin[kMostRows][kLanes];
-    /// [row]: bit i is set if the ray of lane i is to be followed. Kernels of opaque maps
-    /// clear the bits of rays that are blocked.
+    /// The same for surfaces among media, whose kernel reads both.
+    alignas(64) float beginSurfaces[kMostRows][kLanes];
+    /// [row]: bit i is set if the ray of lane i is to be followed. Kernels clear the bits
+    /// of rays that are blocked.
     std::uint16_t open[kMostRows];
 
     // What all rays of a receiver have in common.

@@ -58,6 +58,11 @@ ShadowOptions filtered() {
     return options;
 }
 
+/// The fast trace keeps an optical depth to one part in 2048; others are exact.
+double marginOf(ShadowMethod method) {
+    return method == ShadowMethod::trace ? 3e-4 : 0.0;
+}
+
 double largest(glm::dvec3 p) {
     return std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
 }
@@ -80,9 +85,11 @@ TEST_CASE("each channel has its own factor, and the scalar is their mean", "[sha
     REQUIRE(map);
     const glm::dvec3 points[] = {{0.5, 0.5, -5}, {0.5, 0.5, -2}, {NAN, 0, 0}};
     const glm::vec3 expected[] = {{0.25f, 0.5f, 1.0f}, glm::vec3(0), glm::vec3(0)};
-    for (const ShadowMethod method : {ShadowMethod::trace, ShadowMethod::pcf}) {
+    for (const ShadowMethod method :
+         {ShadowMethod::trace, ShadowMethod::scalar, ShadowMethod::pcf}) {
         ShadowOptions options;
         options.method = method;
+        const double margin = marginOf(method);
         glm::vec3 color[3];
         float grey[3];
         QueryStats stats;
@@ -91,7 +98,7 @@ TEST_CASE("each channel has its own factor, and the scalar is their mean", "[sha
         CHECK(stats.points == 3);
         CHECK(stats.notFinite == 1);
         for (int i = 0; i < 3; ++i) {
-            CHECK(color[i] == expected[i]);
+            CHECK(largest(color[i] - expected[i]) <= margin);
             CHECK(color[i] ==
                   shadowFactorColor(*map, info.light, points[i], {}, options));
             CHECK(grey[i] == Approx((color[i].x + color[i].y + color[i].z) / 3));
@@ -111,7 +118,9 @@ TEST_CASE("each channel has its own factor, and the scalar is their mean", "[sha
     CHECK(visibilityColor(*map, ray) == glm::vec3(1.0f));
     // One channel is all three.
     const ShadowMap grey = mapWith(Translucent::sheets, {{3.0f, 0.25f, 1}});
-    CHECK(shadowFactorColor(grey, pointLight(), {0.5, 0.5, -5}) == glm::vec3(0.75f));
+    const glm::vec3 threeTimes = shadowFactorColor(grey, pointLight(), {0.5, 0.5, -5});
+    CHECK(threeTimes.x == Approx(0.75).margin(marginOf(ShadowMethod::trace)));
+    CHECK(threeTimes == glm::vec3(threeTimes.x));
 }
 
 TEST_CASE("a receiver among media is darkened by what is a footprint away, not by itself",
@@ -124,19 +133,21 @@ TEST_CASE("a receiver among media is darkened by what is a footprint away, not b
     const auto onCentreRay = [](double depth) {
         return depth * glm::dvec3(1.0 / 64, 3.0 / 64, -1);
     };
-    for (const ShadowMethod method : {ShadowMethod::trace, ShadowMethod::pcf}) {
+    for (const ShadowMethod method :
+         {ShadowMethod::trace, ShadowMethod::scalar, ShadowMethod::pcf}) {
         ShadowOptions options;
         options.method = method;
+        const double margin = marginOf(method);
         const auto dark = [&](const ShadowMap& map, double footprints) {
             return shadowFactor(map, pointLight(), onCentreRay(4 + footprints / 8), {},
                                 options);
         };
-        INFO((method == ShadowMethod::pcf ? "pcf" : "trace"));
+        INFO("method " << int(method));
         CHECK(dark(media, 0.0) == 0.0f);
         CHECK(dark(media, 0.8) == 0.0f);
-        CHECK(dark(media, 1.3) == Approx(0.5));
+        CHECK(dark(media, 1.3) == Approx(0.5).margin(margin));
         CHECK(dark(sheets, 1.3) == 0.0f);  // five biases away, but for one
-        CHECK(dark(sheets, 7.0) == 0.5f);
+        CHECK(dark(sheets, 7.0) == Approx(0.5).margin(margin));
         // Surfaces in it need their five biases as ever.
         CHECK(dark(wall, 1.3) == 0.0f);
         CHECK(dark(wall, 7.0) == 1.0f);
@@ -146,7 +157,7 @@ TEST_CASE("a receiver among media is darkened by what is a footprint away, not b
                                 {0, 0, 1}, options);
         };
         CHECK(behind(0.1) == 0.0f);
-        CHECK(behind(1.3) == Approx(0.5));
+        CHECK(behind(1.3) == Approx(0.5).margin(margin));
     }
 }
 

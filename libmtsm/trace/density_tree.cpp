@@ -1,0 +1,564 @@
+// Level 0 from the layers of each pixel, each level above from four lists of slabs below.
+#include "trace/density_tree.h"
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <utility>
+
+#include "base/lazy.h"
+#include "base/message.h"
+#include "base/parallel.h"
+
+namespace mtsm::trace {
+namespace {
+
+constexpr std::uint32_t kTileRowsPerTask = 2;
+/// Vectors index the words of texels by 31 bits.
+constexpr std::uint64_t kMostTexels = std::uint64_t(1) << 28;
+/// What lies at one depth is given this length, of its w: enough for floats to tell parts
+/// of it, and far below a pixel's footprint.
+constexpr float kThinnest = 0x1p-19f;
+/// A slab's depth is off by at most about this where a ray begins in it, or by a share of
+/// 1 / kMostPieces of its layer's.
+constexpr float kUneven = 0.004f;
+constexpr float kMostPieces = 64.0f;
+
+using Depths = std::array<float, 3>;  // [channel]
+
+struct Slab {
+    float low = 0.0f, high = 0.0f;
+    Depths depth{};
+};
+
+/// The least length of a slab.
+float thinnest(float low) {
+    return std::max(kThinnest * std::abs(low), 1e-30f);
+}
+
+// Two floats >= 0 in a word: the upper 13 bits of one, which is not made smaller, and the
+// lower 19 bits of the other without its last 13 (and without its sign).
+std::uint32_t packed(float length, float density) {
+    const std::uint32_t upper = (std::bit_cast<std::uint32_t>(length) + 0x7ffffu) >> 19;
+    const auto bits = std::bit_cast<std::uint32_t>(density);
+    return upper << 19 | (bits + 0xfffu + (bits >> 13 & 1u)) >> 13;
+}
+float lengthOf(std::uint32_t word) {
+    return std::bit_cast<float>(word & DensityLevel::kLengthBits);
+}
+float densityOf(std::uint32_t word) {
+    return std::bit_cast<float>(word << DensityLevel::kDensityShift);
+}
+
+/// Words of a slab.
+std::size_t wordsOf(std::uint32_t channels) {
+    return channels == 3 ? 4 : 2;
+}
+
+/// Appends a list of slabs as a level keeps it; says where they lie.
+DensityTexel pack(const std::vector<Slab>& list, std::uint32_t channels,
+                  std::vector<std::uint32_t>& out) {
+    const std::size_t begin = out.size(), n = list.size();
+    DensityTexel texel{HUGE_VALF, -HUGE_VALF, 0, std::uint32_t(n)};
+    out.resize(begin + n * wordsOf(channels));
+    for (std::size_t i = 0; i < n; ++i) {
+        const Slab& slab = list[i];
+        std::uint32_t* to = out.data() + begin + i;
+        const float length =
+            lengthOf(packed(std::max(slab.high - slab.low, thinnest(slab.low)), 0.0f));
+        const float high = slab.low + length;
+        const float inverse = 1.0f / (high - slab.low);
+        to[0] = std::bit_cast<std::uint32_t>(slab.low);
+        to[n] = packed(length, slab.depth[0] * inverse);
+        for (std::size_t c = 1; c < channels; ++c)
+            to[(c + 1) * n] = std::bit_cast<std::uint32_t>(slab.depth[c] * inverse);
+        texel.low = std::min(texel.low, slab.low);
+        texel.high = std::max(texel.high, high);
+    }
+    return texel;
+}
+
+Slab unpack(const DensityLevel& level, const DensityTexel& texel, std::uint32_t i,
+            std::uint32_t channels) {
+    const std::uint32_t* from = level.slabs.data() + texel.begin + i;
+    const std::uint32_t bits = from[texel.count];
+    const float low = std::bit_cast<float>(from[0]);
+    const float high = low + lengthOf(bits), length = high - low;
+    Slab slab{low, high, {densityOf(bits) * length, 0.0f, 0.0f}};
+    for (std::size_t c = 1; c < channels; ++c)
+        slab.depth[c] = std::bit_cast<float>(from[(c + 1) * texel.count]) * length;
+    return slab;
+}
+
+enum class Kind { media, sheets, surfaces };
+
+/// Slabs that lie about one another are merged up to these.
+struct Limits {
+    float depth = 0.0f;
+    float length = 0.0f;    ///< w, or share of w
+    bool relative = false;  ///< to w: a perspective view's footprint is a share of z
+    bool whole = false;     ///< slabs are not cut
+    bool thin = false;      ///< what is merged lies at the mean of the depths
+    [[nodiscard]] float lengthAt(float w) const noexcept {
+        return relative ? length * w : length;
+    }
+};
+
+/// Of slabs that are as deep as they may be: longer ones would be uneven in depth.
+constexpr double kMostOfDepth = 0.1;
+/// Slabs are cut to not less than this share of the longest they may be.
+constexpr float kShortestCut = 1.0f / 16;
+/// Sheets and surfaces are merged over this many texel footprints, at any depth.
+constexpr double kSurfaceLength = 2.0;
+
+Limits limitsOf(const Projection& p, const DensityOptions& options, Kind kind,
+                std::uint32_t level) {
+    const double texel = p.pixelFootprint(1.0) * double(std::uint64_t(1) << level);
+    const bool perspective = p.kind == ProjectionKind::perspective;
+    const bool media = kind == Kind::media;
+    const double length = texel * (media ? options.length : kSurfaceLength);
+    return {media ? float(options.depth) : 8.0f * kDarkDepth,
+            float(perspective ? std::min(length, kMostOfDepth) : length), perspective,
+            !media, kind == Kind::sheets};
+}
+
+// --- a pixel's layers ------------------------------------------------------------------
+
+class PixelSlabs {
+  public:
+    PixelSlabs(const ShadowMap& map, std::uint32_t face)
+        : projection_(map.projection(face)),
+          channels_(map.info().channels),
+          perspective_(projection_.kind == ProjectionKind::perspective),
+          sheets_(map.info().translucent == Translucent::sheets) {}
+
+    /// The slabs of pixel (x, y), in order of w: the surfaces, or what is none.
+    void read(const PixelLayers& pixel, std::uint32_t x, std::uint32_t y, bool surfaces,
+              std::vector<Slab>& out) const {
+        out.clear();
+        const float way = surfaces || sheets_ ? 1.0f : 1.0f / centreWay(x, y);
+        for (std::uint32_t i = pixel.count; i-- > 0;) {
+            const bool surface = isSurface(pixel, i);
+            if (surface != surfaces) continue;
+            if (surface)
+                out.push_back(at(pixel.z[i], {kDarkDepth, kDarkDepth, kDarkDepth}));
+            else
+                translucent(pixel, i, way, out);
+        }
+    }
+
+  private:
+    static float v(const PixelLayers& pixel, std::uint32_t i, std::uint32_t c) {
+        return pixel.v ? pixel.v[c * pixel.vStride + i] : 0.0f;
+    }
+    [[nodiscard]] bool isDark(const PixelLayers& pixel, std::uint32_t i) const {
+        for (std::uint32_t c = 0; c < channels_; ++c) {
+            if (v(pixel, i, c) > 0.0f) return false;
+        }
+        return true;
+    }
+    [[nodiscard]] bool isSurface(const PixelLayers& pixel, std::uint32_t i) const {
+        return (sheets_ || !pixel.n || pixel.n[i] == 1) && isDark(pixel, i);
+    }
+
+    /// Way of the centre ray per unit of depth.
+    [[nodiscard]] float centreWay(std::uint32_t x, std::uint32_t y) const {
+        if (!perspective_) return 1.0f;
+        const glm::dvec2 c =
+            (glm::dvec2(x + 0.5, y + 0.5) - projection_.offset) / projection_.scale;
+        return float(std::sqrt(1.0 + c.x * c.x + c.y * c.y));
+    }
+
+    [[nodiscard]] float straight(float z) const { return perspective_ ? 1.0f / z : -z; }
+
+    [[nodiscard]] Slab at(float z, Depths depth) const {
+        return between(straight(z), straight(z), depth);
+    }
+    static Slab between(float low, float high, Depths depth) {
+        const float least = thinnest(low);
+        if (high - low >= least) return {low, high, depth};
+        const float middle = 0.5f * (low + high);
+        return {middle - 0.5f * least, middle + 0.5f * least, depth};
+    }
+
+    /// The samples of layer i: spread from the layer before to its own depth. Where they
+    /// end dark, the last one blocks and the others take nothing.
+    void translucent(const PixelLayers& pixel, std::uint32_t i, float way,
+                     std::vector<Slab>& out) const {
+        const bool restart = i == 0 || isDark(pixel, i - 1);
+        Depths depth{}, end{};
+        bool takes = false, ends = false;
+        for (std::uint32_t c = 0; c < channels_; ++c) {
+            const float after = v(pixel, i, c);
+            const float before = restart ? 1.0f : v(pixel, i - 1, c);
+            if (!(after < before)) continue;
+            if (after > 0.0f) {
+                depth[c] = way * std::min(std::log(before / after), kDarkDepth);
+                takes = true;
+            } else {
+                end[c] = kDarkDepth;
+                ends = true;
+            }
+        }
+        if (ends) out.push_back(at(pixel.z[i], end));
+        if (!takes) return;
+        const bool single = i == 0 || !pixel.n || pixel.n[i] == 1;
+        spread(single ? pixel.z[i] : pixel.z[i - 1], pixel.z[i], depth, out);
+    }
+
+    /// Evenly from depth z0 to z1; a slab is even in 1/z instead, so a long layer becomes
+    /// several.
+    void spread(float z0, float z1, Depths depth, std::vector<Slab>& out) const {
+        std::uint32_t pieces = 1;
+        if (perspective_ && z1 > z0) {
+            const float thickest = std::max({depth[0], depth[1], depth[2]});
+            const float off = thickest * (z1 - z0) / (4.0f * z0);  // of one piece
+            pieces =
+                std::uint32_t(std::ceil(std::min(std::sqrt(off / kUneven), kMostPieces)));
+            pieces = std::max(pieces, 1u);
+        }
+        for (float& d : depth)
+            d /= float(pieces);
+        const float step = (z1 - z0) / float(pieces);
+        float low = straight(z1);
+        for (std::uint32_t k = pieces; k-- > 0;) {
+            const float high = straight(k > 0 ? z0 + step * float(k) : z0);
+            out.push_back(between(low, high, depth));
+            low = high;
+        }
+    }
+
+    const Projection& projection_;
+    std::uint32_t channels_;
+    bool perspective_, sheets_;
+};
+
+// --- merging ---------------------------------------------------------------------------
+
+/// 1 - exp(-depth), exact for thin ones too.
+float takenBy(float depth) {
+    if (depth > 0.0625f) return 1.0f - std::exp(-depth);
+    return depth * (1.0f - depth * (0.5f - depth * (1.0f / 6 - depth * (1.0f / 24))));
+}
+
+float depthThatTakes(float taken) {
+    if (!(taken < 1.0f)) return kDarkDepth;
+    if (taken > 0.0625f) return -std::log(1.0f - taken);
+    return taken * (1.0f + taken * (0.5f + taken * (1.0f / 3 + taken * 0.25f)));
+}
+
+// --- levels ----------------------------------------------------------------------------
+
+/// Some rows of texels.
+struct Rows {
+    std::vector<DensityTexel> texels;  // `begin` is not known yet
+    std::vector<std::uint32_t> slabs;
+
+    void append(const std::vector<Slab>& list, std::uint32_t channels) {
+        texels.push_back(pack(list, channels, slabs));
+    }
+};
+
+/// Puts the rows of all tasks together; false if they are too much.
+bool assemble(std::vector<Rows>& tasks, std::uint32_t channels, DensityLevel& level) {
+    std::vector<std::uint64_t> first(tasks.size() + 1, 0);
+    for (std::size_t t = 0; t < tasks.size(); ++t)
+        first[t + 1] = first[t] + tasks[t].slabs.size();
+    if (first.back() > std::numeric_limits<std::uint32_t>::max() - kLanes) return false;
+    level.texels.resize(std::size_t(level.tilesX()) * level.tilesY() * 64);
+    level.slabs.resize(first.back() + kLanes);
+    base::parallelFor(std::size_t(0), tasks.size(), [&](std::size_t task) {
+        Rows& rows = tasks[task];
+        std::copy(rows.slabs.begin(), rows.slabs.end(),
+                  level.slabs.begin() + std::ptrdiff_t(first[task]));
+        std::uint64_t begin = first[task];
+        std::size_t to = task * kTileRowsPerTask * level.tilesX() * 64;
+        for (DensityTexel texel : rows.texels) {
+            texel.begin = std::uint32_t(begin);
+            begin += texel.count * wordsOf(channels);
+            level.texels[to++] = texel;
+        }
+        rows = {};
+    });
+    return true;
+}
+
+/// makeTexels() gives each thread's texel(x, y, slabs), which lists the slabs of a texel.
+template <typename MakeTexels>
+bool makeLevel(std::uint32_t channels, DensityLevel& level,
+               const MakeTexels& makeTexels) {
+    std::vector<Rows> tasks((level.tilesY() + kTileRowsPerTask - 1) / kTileRowsPerTask);
+    base::parallelFor(std::size_t(0), tasks.size(), [&](std::size_t task) {
+        auto texel = makeTexels();
+        std::vector<Slab> slabs;
+        const std::uint32_t first = std::uint32_t(task) * kTileRowsPerTask;
+        const std::uint32_t end = std::min(first + kTileRowsPerTask, level.tilesY());
+        for (std::uint32_t tile = first * level.tilesX(); tile < end * level.tilesX();
+             ++tile) {
+            for (std::uint32_t i = 0; i < 64; ++i) {
+                const std::uint32_t x = tile % level.tilesX() * 8 + i % 8;
+                const std::uint32_t y = tile / level.tilesX() * 8 + i / 8;
+                slabs.clear();
+                if (x < level.width && y < level.height) texel(x, y, slabs);
+                tasks[task].append(slabs, channels);
+            }
+        }
+    });
+    return assemble(tasks, channels, level);
+}
+
+bool makePixels(const ShadowMap& map, std::uint32_t face, bool surfaces,
+                DensityLevel& level) {
+    level.width = map.info().width;
+    level.height = map.info().height;
+    const PixelSlabs pixels(map, face);
+    return makeLevel(map.info().channels, level, [&] {
+        return [&](std::uint32_t x, std::uint32_t y, std::vector<Slab>& slabs) {
+            pixels.read(map.pixel(face, x, y), x, y, surfaces, slabs);
+        };
+    });
+}
+
+/// Reads a texel's list from its front.
+struct ListReader {
+    const DensityLevel* level;
+    const DensityTexel* texel;
+    std::uint32_t channels, next = 0;
+    Slab
+        slab;  // what is left of the first that was not taken; low is infinite at the end
+
+    ListReader(const DensityLevel& from, std::uint32_t x, std::uint32_t y,
+               std::uint32_t channelCount)
+        : level(&from), texel(&from.texel(x, y)), channels(channelCount) {
+        take();
+    }
+    void take() {
+        if (next < texel->count)
+            slab = unpack(*level, *texel, next++, channels);
+        else
+            slab.low = HUGE_VALF;
+    }
+    [[nodiscard]] float length() const { return slab.high - slab.low; }
+    [[nodiscard]] float thickest() const {
+        return std::max({slab.depth[0], slab.depth[1], slab.depth[2]});
+    }
+};
+
+/// Merges the lists of up to four texels, whose areas are equal and beside one another.
+/// Where a slab of theirs is as deep or long as may be, all are cut.
+class Merger {
+  public:
+    Merger(std::uint32_t channels, Limits limits)
+        : channels_(channels), limits_(limits) {}
+
+    void merge(std::vector<ListReader>& lists, std::vector<Slab>& out) {
+        out.clear();
+        share_ = 1.0f / float(lists.size());
+        for (;;) {
+            float at = HUGE_VALF;
+            for (const ListReader& list : lists)
+                at = std::min(at, list.slab.low);
+            if (open_ && at >= end_) close(out);
+            if (at == HUGE_VALF) return;
+            if (!open_) begin(at);
+            if (!takeWhole(lists, at, out)) advance(lists, at, out);
+        }
+    }
+
+  private:
+    void begin(float at) {
+        open_ = true;
+        low_ = high_ = at;
+        end_ = at + limits_.lengthAt(at);
+        shortest_ = kShortestCut * limits_.lengthAt(at);
+        depth_ = {};
+        thickest_ = moment_ = 0.0f;
+    }
+
+    void close(std::vector<Slab>& out) {
+        Slab slab{low_, high_, {}};
+        if (limits_.thin && high_ <= end_ && thickest_ > 0.0f)
+            slab.low = slab.high = low_ + moment_ / thickest_;
+        // The depth whose transmittance is the mean of the children's.
+        for (std::uint32_t c = 0; c < channels_; ++c) {
+            float taken = 0.0f;
+            for (const Depths& child : depth_)
+                taken += takenBy(child[c]);
+            slab.depth[c] = depthThatTakes(taken * share_);
+        }
+        out.push_back(slab);
+        open_ = false;
+    }
+
+    /// If a slab that begins at `at` is not to be cut: takes all of it, or ends the one
+    /// that is open because it does not fit.
+    bool takeWhole(std::vector<ListReader>& lists, float at, std::vector<Slab>& out) {
+        for (std::size_t k = 0; k < lists.size(); ++k) {
+            ListReader& list = lists[k];
+            if (list.slab.low > at || !(limits_.whole || list.length() <= shortest_))
+                continue;
+            const float thickest = thickest_ + share_ * list.thickest();
+            if (high_ > low_ && (thickest > limits_.depth || list.slab.high > end_)) {
+                close(out);
+            } else {
+                add(list.slab, 1.0f, k);
+                list.take();
+            }
+            return true;
+        }
+        return false;
+    }
+
+    /// Takes what lies from `at` to where a list's slab begins or ends, or the one that
+    /// is open has to.
+    void advance(std::vector<ListReader>& lists, float at, std::vector<Slab>& out) {
+        float to = std::max(end_, at + shortest_), density = 0.0f;
+        for (const ListReader& list : lists) {
+            if (list.slab.low > at) {
+                to = std::min(to, list.slab.low);
+            } else {
+                to = std::min(to, list.slab.high);
+                density += share_ * list.thickest() / list.length();
+            }
+        }
+        const float left = std::max(limits_.depth - thickest_, 0.0f);
+        if (density * (to - at) > left)
+            to = std::min(to, at + std::max(left / density, shortest_));
+        for (std::size_t k = 0; k < lists.size(); ++k) {
+            ListReader& list = lists[k];
+            if (list.slab.low > at) continue;
+            // All of it, too, where floats do not tell the ends of the part.
+            const bool cut = to > at && to < list.slab.high;
+            const float part = cut ? (to - at) / list.length() : 1.0f;
+            Slab taken = list.slab;
+            taken.high = std::min(to, list.slab.high);
+            add(taken, part, k);
+            if (!cut) {
+                list.take();
+                continue;
+            }
+            list.slab.low = to;
+            for (float& d : list.slab.depth)
+                d *= 1.0f - part;
+        }
+        if (thickest_ >= 0.999f * limits_.depth || to >= end_) close(out);
+    }
+
+    void add(const Slab& slab, float part, std::size_t child) {
+        high_ = std::max(high_, slab.high);
+        float thickest = 0.0f;
+        for (std::uint32_t c = 0; c < channels_; ++c) {
+            depth_[child][c] += part * slab.depth[c];
+            thickest = std::max(thickest, part * slab.depth[c]);
+        }
+        thickest_ += share_ * thickest;
+        moment_ += share_ * thickest * (0.5f * (slab.low + slab.high) - low_);
+    }
+
+    std::uint32_t channels_;
+    Limits limits_;
+    float share_ = 1.0f;  // of a child in the area
+    // The slab that is open: from low_ to high_ so far, to end_ at most. What its
+    // thickest channel has, mean over the children.
+    bool open_ = false;
+    float low_ = 0.0f, high_ = 0.0f, end_ = 0.0f, shortest_ = 0.0f, thickest_ = 0.0f;
+    float moment_ = 0.0f;            // of that, about low_
+    std::array<Depths, 4> depth_{};  // [child][channel]
+};
+
+bool makeCoarser(const DensityLevel& fine, std::uint32_t channels, Limits limits,
+                 DensityLevel& level) {
+    level.width = (fine.width + 1) / 2;
+    level.height = (fine.height + 1) / 2;
+    return makeLevel(channels, level, [&] {
+        return [&, merger = Merger(channels, limits), lists = std::vector<ListReader>()](
+                   std::uint32_t x, std::uint32_t y, std::vector<Slab>& slabs) mutable {
+            lists.clear();
+            for (std::uint32_t v = 2 * y; v < std::min(2 * y + 2, fine.height); ++v) {
+                for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, fine.width); ++u)
+                    lists.emplace_back(fine, u, v, channels);
+            }
+            merger.merge(lists, slabs);
+        };
+    });
+}
+
+bool makePyramid(const ShadowMap& map, std::uint32_t face, Kind kind,
+                 const DensityOptions& options, DensityPyramid& pyramid) {
+    const Projection& p = map.projection(face);
+    pyramid.levels.emplace_back();
+    if (!makePixels(map, face, kind == Kind::surfaces, pyramid.levels[0])) return false;
+    if (pyramid.levels[0].slabs.size() == kLanes) {
+        pyramid = {};
+        return true;
+    }
+    pyramid.low = HUGE_VALF;
+    pyramid.high = -HUGE_VALF;
+    for (const DensityTexel& texel : pyramid.levels[0].texels) {
+        pyramid.low = std::min(pyramid.low, texel.low);
+        pyramid.high = std::max(pyramid.high, texel.high);
+    }
+    for (std::uint32_t i = 1;
+         pyramid.levels.back().width > 1 || pyramid.levels.back().height > 1; ++i) {
+        DensityLevel level;
+        if (!makeCoarser(pyramid.levels.back(), map.info().channels,
+                         limitsOf(p, options, kind, i), level))
+            return false;
+        if (i <= options.finest) pyramid.levels.back() = {};
+        pyramid.levels.push_back(std::move(level));
+    }
+    return true;
+}
+
+std::uint64_t bytesOf(const DensityPyramid& pyramid) {
+    std::uint64_t bytes = 0;
+    for (const DensityLevel& level : pyramid.levels)
+        bytes += level.texels.size() * sizeof(DensityTexel) +
+                 level.slabs.size() * sizeof(std::uint32_t);
+    return bytes;
+}
+
+}  // namespace
+
+Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
+                                       const DensityOptions& options) {
+    DensityTree tree;
+    tree.projection_ = map.projection(face);
+    tree.channels_ = map.info().channels;
+    tree.sheets_ = map.info().translucent == Translucent::sheets;
+    tree.width_ = map.info().width;
+    tree.height_ = map.info().height;
+    const auto coarsest =
+        std::uint32_t(std::bit_width(std::max(tree.width_, tree.height_) - 1));
+    DensityOptions present = options;
+    present.finest = tree.finest_ = std::min(options.finest, coarsest);
+    const bool indexable = std::uint64_t(tree.width_) * tree.height_ <= kMostTexels;
+    if (!indexable ||
+        !makePyramid(map, face, tree.sheets_ ? Kind::sheets : Kind::media, present,
+                     tree.translucent_) ||
+        !makePyramid(map, face, Kind::surfaces, present, tree.surfaces_))
+        return base::makeError(
+            ErrorCode::tooLarge, "face ", face,
+            " has too many pixels or layers for a density tree: bake with a "
+            "lower resolution or a larger tolerance");
+    return tree;
+}
+
+std::uint64_t DensityTree::memoryBytes() const noexcept {
+    return bytesOf(translucent_) + bytesOf(surfaces_);
+}
+
+const DensityTree* densityTree(const ShadowMap& map) {
+    using Kept = std::optional<DensityTree>;
+    const Kept& kept = map.queryData().get<Kept>([&]() -> Kept {
+        Result<DensityTree> tree = DensityTree::build(map, 0);
+        if (!tree) return std::nullopt;
+        return *std::move(tree);
+    });
+    return kept ? &*kept : nullptr;
+}
+
+}  // namespace mtsm::trace

@@ -1,0 +1,134 @@
+// density_tree.h - one face of a transparent map as optical depths that add up along a
+// ray, at every resolution: what the fast trace of maps that are not opaque follows rays
+// through.
+//
+// Level 0 has a texel per pixel, each level above one per 2 x 2 texels below. A texel is
+// a list of slabs in straight space (bundle.h): between two w its optical depth is spread
+// evenly, so that what a ray meets is an overlap times a density. Depths of media are
+// those along the centre ray over that ray's way per unit of depth: times the way of any
+// other ray per unit of depth they are what that ray loses [traverse.h, Media]. Sheets
+// take the same at any slant.
+//
+// Merging. At level 0 every layer is a slab. Above, slabs of a texel's four children that
+// lie about one another become one while it is short and thin (see DensityOptions). The
+// children's areas are apart, so light adds: the mean of the transmittance is kept, not
+// that of the depth, which would be too dark. So a strand that covers part of several
+// pixels is summed up before the logarithm, and what lies in other slabs is taken for
+// independent: there depths add. (Measured: tests/bench/NOTES.md.)
+//
+// Sheets are never cut, and those that lie within some footprints of one another become
+// one at the mean of their depths.
+//
+// Surfaces are the layers that block: in a map of media those of one sample that are
+// dark, in one of sheets all that are dark. They have a pyramid of their own, because
+// they count from elsewhere along a ray of media, are met within the bias, and take the
+// same at any slant. At level 0 they block; above, a texel that they cover in part has
+// the depth -ln(1 - part).
+//
+// Built in parallel in the caller's oneTBB arena, the same for any number of threads.
+#pragma once
+#include <cstdint>
+#include <vector>
+
+#include "mtsm/map.h"
+#include "mtsm/result.h"
+#include "trace/bundle.h"
+
+namespace mtsm::trace {
+
+struct DensityOptions {
+    /// Slabs are merged up to this optical depth, and to this length in footprints of the
+    /// level's texels.
+    double depth = 0.8;
+    double length = 4.0;
+    /// Levels below are left out: 1 takes a fifth of the memory of 0 for fur, for rays
+    /// whose way near the receiver is answered from elsewhere.
+    std::uint32_t finest = 0;
+};
+
+/// What is dark: rays that have met this much have no light left. Finite, so that parts
+/// of it are numbers.
+inline constexpr float kDarkDepth = 1000.0f;
+
+/// A list of slabs, and the w between which all of them lie: (inf, -inf) without slabs.
+struct DensityTexel {
+    float low = 0.0f, high = 0.0f;
+    std::uint32_t begin = 0, count = 0;  ///< where the list is in DensityLevel::slabs
+};
+
+/// One resolution. Texels lie in tiles of 8 x 8, tiles and the texels of each row by row:
+/// what a ray and its neighbours meet is close together. The list of n slabs that begins
+/// at word b is in three parts, so that a vector holds one of many:
+/// - b .. b + n: where slabs begin, floats, ascending;
+/// - the next n: two numbers each. The bits kLengthBits are those of a float > 0, the
+///   length; the others, moved up by kDensityShift, those of one >= 0, the optical depth
+///   of channel 0 per unit of w. What lies between low and low + length, as floats add,
+///   is the slab;
+/// - in maps of three channels another n and another: the same of channels 1 and 2,
+/// floats. A vector's room of words lies behind the last list.
+struct DensityLevel {
+    static constexpr std::uint32_t kTileShift = 3;
+    static constexpr std::uint32_t kLengthBits = 0xfff80000u;
+    static constexpr int kDensityShift = 13;
+
+    std::uint32_t width = 0, height = 0;
+    std::vector<DensityTexel> texels;  ///< [tilesY][tilesX][8][8]
+    std::vector<std::uint32_t> slabs;
+
+    [[nodiscard]] std::uint32_t tilesX() const noexcept {
+        return (width + 7) >> kTileShift;
+    }
+    [[nodiscard]] std::uint32_t tilesY() const noexcept {
+        return (height + 7) >> kTileShift;
+    }
+    [[nodiscard]] const DensityTexel& texel(std::uint32_t x,
+                                            std::uint32_t y) const noexcept {
+        const std::size_t tile =
+            std::size_t(y >> kTileShift) * tilesX() + (x >> kTileShift);
+        return texels[tile * 64 + (y & 7) * 8 + (x & 7)];
+    }
+};
+
+/// From level `finest` to one of a single texel.
+struct DensityPyramid {
+    std::vector<DensityLevel> levels;  ///< those below `finest` are empty
+    float low = 0.0f, high = 0.0f;     ///< the w between which everything lies
+    [[nodiscard]] bool empty() const noexcept { return !(low < high); }
+};
+
+class DensityTree {
+  public:
+    /// One error: tooLarge if the face has more than 16384 x 16384 pixels or a level's
+    /// slabs take more than 16 GB. Time and memory are linear in the number of layers and
+    /// pixels.
+    [[nodiscard]] static Result<DensityTree> build(const ShadowMap& map,
+                                                   std::uint32_t face,
+                                                   const DensityOptions& options = {});
+
+    [[nodiscard]] const Projection& projection() const noexcept { return projection_; }
+    [[nodiscard]] std::uint32_t channels() const noexcept { return channels_; }
+    [[nodiscard]] std::uint32_t width() const noexcept { return width_; }  ///< pixels
+    [[nodiscard]] std::uint32_t height() const noexcept { return height_; }
+    [[nodiscard]] std::uint32_t finest() const noexcept { return finest_; }
+    [[nodiscard]] bool isOfSheets() const noexcept { return sheets_; }
+    /// What lets light through.
+    [[nodiscard]] const DensityPyramid& translucent() const noexcept {
+        return translucent_;
+    }
+    [[nodiscard]] const DensityPyramid& surfaces() const noexcept { return surfaces_; }
+    [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
+
+  private:
+    DensityTree() = default;
+
+    Projection projection_;
+    std::uint32_t channels_ = 1, width_ = 0, height_ = 0, finest_ = 0;
+    bool sheets_ = false;
+    DensityPyramid translucent_, surfaces_;
+};
+
+/// The tree of a map of one face that is not opaque, made when first asked for; null if
+/// that is too large.
+[[nodiscard]] const DensityTree* densityTree(const ShadowMap& map);
+
+}  // namespace mtsm::trace

@@ -1,0 +1,675 @@
+// The fast trace of media against the definition, closed forms and brute force.
+#include "trace/density_trace.h"
+
+#include <hwy/targets.h>
+#include <tbb/task_arena.h>
+
+#include <catch2/catch.hpp>
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <memory>
+#include <random>
+
+#include "map_fixture.h"
+#include "trace/brute_force.h"
+#include "trace/straight_rays.h"
+
+using namespace mtsm;
+using namespace mtsm::trace;
+using test::mapOf;
+using test::TestLayer;
+
+namespace {
+
+MapInfo mediaInfo(std::uint32_t side) {
+    MapInfo info = test::plainInfo(side, side, 8);
+    info.translucent = Translucent::media;
+    return info;
+}
+
+Projection parallel(std::uint32_t width) {
+    Projection p = test::plainProjection(width, width);
+    p.kind = ProjectionKind::orthographic;
+    p.scale = {width / 20.0, width / -20.0};
+    return p;
+}
+
+/// 0 to 1, the same on every machine.
+class Random {
+  public:
+    explicit Random(std::uint64_t seed) : random_(seed) {}
+    double operator()() { return double(random_() >> 11) * 0x1p-53; }
+    double operator()(double low, double high) { return low + (high - low) * (*this)(); }
+
+  private:
+    std::mt19937_64 random_;
+};
+
+DensityTree treeOf(const ShadowMap& map, const DensityOptions& options = {}) {
+    auto tree = DensityTree::build(map, 0, options);
+    REQUIRE(tree);
+    return *std::move(tree);
+}
+
+/// What the definition's rays are given to the kernel with.
+struct Asked {
+    double apart =
+        0.0;  ///< world units between the ends of neighbouring rays, times part
+    ZBias bias;
+    float darkDepth = 1e30f;
+};
+
+/// Visibility of each ray, sixteen at a time.
+std::vector<std::array<double, 3>> trace16(const ShadowMap& map, const DensityTree& tree,
+                                           const std::vector<Ray>& rays,
+                                           const Asked& asked = {}) {
+    std::vector<std::array<double, 3>> visible;
+    const auto bundle = std::make_unique<RayBundle>();
+    const auto depths = std::make_unique<RayDepths>();
+    for (std::size_t first = 0; first < rays.size(); first += kLanes) {
+        *bundle = {};
+        *depths = {};
+        bundle->blocks = 1;
+        const std::size_t count = std::min<std::size_t>(kLanes, rays.size() - first);
+        for (std::size_t i = 0; i < count; ++i)
+            test::put(*bundle, 0, int(i),
+                      test::straighten(map.projection(0), rays[first + i],
+                                       test::nearestOf(map, 0), asked.apart));
+        traceDensity(tree, {asked.bias, asked.darkDepth}, *bundle, *depths);
+        for (std::size_t i = 0; i < count; ++i) {
+            std::array<double, 3> v;
+            for (int c = 0; c < 3; ++c)
+                v[c] = std::exp(-double(depths->depth[c][0][i]));
+            visible.push_back(v);
+        }
+    }
+    return visible;
+}
+
+/// Calls body once for each kind of vector that this machine and build have.
+template <typename Body>
+void onEveryTarget(const Body& body) {
+    hwy::SetSupportedTargetsForTest(0);
+    for (std::int64_t left = hwy::SupportedTargets(); left != 0; left &= left - 1) {
+        const std::int64_t target = left & -left;
+        hwy::SetSupportedTargetsForTest(target);
+        hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+        INFO(hwy::TargetName(target));
+        body();
+    }
+    hwy::SetSupportedTargetsForTest(0);
+    hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+}
+
+/// Layers of everything that a map of media may hold: fine runs, single samples, walls,
+/// runs that end dark.
+std::vector<TestLayer> anyLayers(Random& random, bool single) {
+    std::vector<TestLayer> layers;
+    float z = float(random(2, 4)), v = 1.0f;
+    while (z < 8.0f) {
+        z += float(random(0.01, 1.5));
+        const double kind = random();
+        const bool restart = kind < 0.1;
+        v = restart ? 0.0f : v * float(random(0.3, 1.0));
+        const bool alone = layers.empty() || kind < 0.06 || (single && kind < 0.6);
+        layers.push_back({z, v, alone ? 1u : 5000u});
+        if (restart) v = 1.0f;
+    }
+    return layers;
+}
+
+ShadowMap anyMap(const Projection& p, std::uint32_t side, bool single,
+                 std::uint64_t seed) {
+    Random random(seed);
+    return mapOf(mediaInfo(side), p,
+                 [&](auto, auto) { return anyLayers(random, single); });
+}
+
+/// From among the layers towards the eye, at slopes at which no stretch is capped.
+std::vector<Ray> anyRays(std::size_t count, std::uint64_t seed) {
+    Random random(seed);
+    std::vector<Ray> rays;
+    while (rays.size() < count) {
+        Ray ray;
+        const double z = random(2.5, 9);
+        ray.origin = {random(-0.8, 0.8) * z, random(-0.8, 0.8) * z, -z};
+        ray.delta = glm::dvec3(random(-1, 1), random(-1, 1), -1) - ray.origin;
+        if (std::abs(ray.delta.z) < 0.2 * glm::length(ray.delta)) continue;
+        ray.tBegin = random() < 0.5 ? 0.0 : random(0.0, 0.2);
+        ray.tSurfaces = random() < 0.5 ? 0.0 : random(0.0, 0.3);
+        rays.push_back(ray);
+    }
+    return rays;
+}
+
+/// In layers of `samples` samples: v = exp(-s (z - 2)) from depth 2 to 6.
+std::vector<TestLayer> slabOf(double s, int samples, int layers) {
+    std::vector<TestLayer> slab = {{2.0f, 1.0f, 1}};
+    for (int i = 1; i <= layers; ++i) {
+        const double z = 4.0 * i / layers;
+        slab.push_back(
+            {float(2 + z), float(std::exp(-s * z)), std::uint32_t(samples / layers)});
+    }
+    return slab;
+}
+
+/// Hairs of one pixel's width and a few pixels' length, each sample a quarter of the
+/// light, at depths from 4 to 6.
+ShadowMap hairMap(std::uint32_t side, int hairs) {
+    Random random(11);
+    std::vector<std::vector<std::pair<float, float>>> samples(side * side);
+    for (int h = 0; h < hairs; ++h) {
+        double x = random(0, side), y = random(0, side), z = random(4, 6);
+        const double angle = random(0, 6.2831853), rise = random(-0.03, 0.03);
+        for (int step = 0; step < 24; ++step) {
+            if (x >= 0 && y >= 0 && x < side && y < side)
+                samples[std::size_t(y) * side + std::size_t(x)].push_back(
+                    {float(z), float(random(0.05, 0.4))});
+            x += std::cos(angle);
+            y += std::sin(angle);
+            z += rise;
+        }
+    }
+    return mapOf(mediaInfo(side), parallel(side), [&](std::uint32_t x, std::uint32_t y) {
+        auto& here = samples[std::size_t(y) * side + x];
+        std::sort(here.begin(), here.end());
+        std::vector<TestLayer> layers;
+        float v = 1.0f;
+        for (const auto& [z, opacity] : here) {
+            v *= 1.0f - opacity;
+            layers.push_back({z, v, 1});
+        }
+        return layers;
+    });
+}
+
+double worst(const std::vector<double>& errors, double share) {
+    std::vector<double> sorted = errors;
+    std::sort(sorted.begin(), sorted.end());
+    return sorted[std::size_t(share * double(sorted.size() - 1))];
+}
+
+}  // namespace
+
+TEST_CASE("single pixels answer as the definition does, ray by ray, on every processor",
+          "[trace][twin]") {
+    // What is rounded: a density by 1/256 of itself, depths of a run by a sample, the
+    // ends of a way through a pixel by floats. So that a sample right at a pixel's border
+    // may be met on the other side: hence not all rays.
+    for (const bool perspective : {true, false}) {
+        const Projection p = perspective ? test::plainProjection(40, 40) : parallel(40);
+        const ShadowMap map = anyMap(p, 40, perspective, 3);
+        const DensityTree tree = treeOf(map);
+        const std::vector<Ray> rays = anyRays(1500, 4);
+        for (const double bias : {0.0, 0.05}) {
+            Asked asked;
+            asked.bias = {bias, bias / 10};
+            TraceOptions options;
+            options.bias = asked.bias;
+            onEveryTarget([&] {
+                const auto visible = trace16(map, tree, rays, asked);
+                std::vector<double> errors;
+                double mean = 0.0, lit = 0.0;
+                for (std::size_t i = 0; i < rays.size(); ++i) {
+                    const double exact = traceRay(map, rays[i], options)[0];
+                    errors.push_back(std::abs(visible[i][0] - exact));
+                    mean += (visible[i][0] - exact) / double(rays.size());
+                    lit += exact / double(rays.size());
+                }
+                CHECK(worst(errors, 0.99) < 0.004);
+                CHECK(std::abs(mean) < 0.0005);
+                CHECK(lit > 0.05);
+            });
+        }
+    }
+}
+
+TEST_CASE("hair met pixel by pixel is what brute force in long double finds",
+          "[trace][twin]") {
+    const ShadowMap map = hairMap(24, 60);
+    const DensityTree tree = treeOf(map);
+    Random random(5);
+    std::vector<Ray> rays(160);
+    for (Ray& ray : rays) {
+        ray.origin = {random(-9, 9), random(-9, 9), random(-6, -5)};
+        ray.delta = {random(-3, 3), random(-3, 3), 4};
+    }
+    const auto visible = trace16(map, tree, rays);
+    std::vector<double> errors;
+    for (std::size_t i = 0; i < rays.size(); ++i)
+        errors.push_back(std::abs(visible[i][0] - test::bruteForce(map, rays[i], {})));
+    CHECK(worst(errors, 0.99) < 0.004);
+}
+
+TEST_CASE("a homogeneous slab gives exp(-s way) at any slant from texels of any size",
+          "[trace][exact]") {
+    const double s = 0.7;
+    Projection parallelView = parallel(64);
+    parallelView.scale = {8, -8};
+    for (const Projection& p : {parallelView, test::plainProjection(64, 64)}) {
+        const bool perspective = p.kind == ProjectionKind::perspective;
+        for (const int layers : {256, 1}) {
+            const ShadowMap map =
+                mapOf(mediaInfo(64), p, [&](std::uint32_t x, std::uint32_t y) {
+                    const glm::dvec3 c = p.lightFromRaster({x + 0.5, y + 0.5}, 1.0);
+                    return slabOf(s * (perspective ? glm::length(c) : 1.0), 4096, layers);
+                });
+            const DensityTree tree = treeOf(map);
+            Random random(3);
+            std::vector<Ray> rays;
+            for (int i = 0; i < 320; ++i) {
+                Ray ray;
+                ray.origin = {random(-1, 1), random(-1, 1), -random(1.2, 7)};
+                ray.delta = glm::dvec3(random(-1, 1), random(-1, 1), -1) - ray.origin;
+                rays.push_back(ray);
+            }
+            for (const double apart : {0.0, 0.1, 0.5, 4.0}) {
+                Asked asked;
+                asked.apart = apart;
+                const auto visible = trace16(map, tree, rays, asked);
+                for (std::size_t i = 0; i < rays.size(); ++i) {
+                    const double z = -rays[i].origin.z;
+                    const double slant = glm::length(rays[i].delta) / (z - 1);
+                    const double way = std::clamp(z - 2, 0.0, 4.0) * slant;
+                    INFO("texels of " << apart << ", depth " << z << ", slant " << slant);
+                    // A start within a slab, and one within those of coarser texels.
+                    CHECK(std::abs(visible[i][0] - std::exp(-s * way)) <
+                          0.006 * slant + 0.01 * std::min(apart, 1.0));
+                }
+            }
+        }
+    }
+}
+
+TEST_CASE("coarse texels keep the mean over a light, and few texels are read",
+          "[trace][statistical]") {
+    // Fur in a box, a light of a fifth of its distance. The definition with the same rays
+    // is the truth; so errors are those of texels alone.
+    const std::uint32_t side = 256;
+    const ShadowMap map = hairMap(side, 12000);
+    const DensityTree tree = treeOf(map);
+    Random random(8);
+    double mean = 0.0, bias = 0.0, apartFromOne = 0.0;
+    const int points = 60, lights = 64;
+    for (int k = 0; k < points; ++k) {
+        const glm::dvec3 point(random(-7, 7), random(-7, 7), -random(5, 8));
+        std::vector<Ray> rays;
+        for (int i = 0; i < lights; ++i) {
+            Ray ray;
+            ray.origin = point;
+            const glm::dvec2 at((i % 8 + random()) / 8 - 0.5,
+                                (i / 8 + random()) / 8 - 0.5);
+            ray.delta = glm::dvec3(4.0 * at, 0.0) - glm::dvec3(0, 0, point.z);
+            ray.tBegin = 0.02;
+            rays.push_back(ray);
+        }
+        Asked asked;
+        asked.apart = 4.0 / 8;
+        const auto visible = trace16(map, tree, rays, asked);
+        double found = 0.0, exact = 0.0;
+        for (int i = 0; i < lights; ++i) {
+            found += visible[std::size_t(i)][0] / lights;
+            exact += double(traceRay(map, rays[std::size_t(i)], {})[0]) / lights;
+        }
+        mean += std::abs(found - exact) / points;
+        bias += (found - exact) / points;
+        apartFromOne += (1 - exact) / points;
+    }
+    CHECK(apartFromOne > 0.3);
+    CHECK(mean < 0.01);
+    CHECK(std::abs(bias) < 0.004);
+}
+
+TEST_CASE("surfaces in a map of media block within the bias and from their own begin on",
+          "[trace][exact]") {
+    const ShadowMap map = mapOf(mediaInfo(16), parallel(16), [](auto, auto) {
+        return std::vector<TestLayer>{{3.0f, 0.5f, 1}, {5.0f, 0.0f, 1}, {6.0f, 0.5f, 1}};
+    });
+    const DensityTree tree = treeOf(map);
+    Asked asked;
+    asked.bias = {0.1, 0.0};
+    const auto from = [&](double z, double distance, double apart) {
+        Ray ray;
+        ray.origin = {0.1, 0.1, -z};
+        ray.delta = {0, 0, z - 1};
+        ray.tSurfaces = distance / (z - 1);
+        asked.apart = apart;
+        return trace16(map, tree, {ray}, asked)[0][0];
+    };
+    for (const double apart : {0.0, 3.0}) {
+        INFO(apart);
+        CHECK(from(5.4, 0.0, apart) == Approx(0.0).margin(1e-6));
+        CHECK(from(5.4, 0.7, apart) == Approx(0.5).epsilon(0.003));
+        CHECK(from(6.5, 0.7, apart) == Approx(0.0).margin(1e-6));
+        CHECK(from(6.5, 1.7, apart) == Approx(0.25).epsilon(0.003));
+        CHECK(from(4.85, 0.0, apart) == Approx(0.5).epsilon(0.003));
+    }
+    // Parallel to the wall, within the bias of it and not.
+    for (const double z : {4.85, 4.95, 5.05, 5.15}) {
+        Ray ray;
+        ray.origin = {-5, 0.1, -z};
+        ray.delta = {9, 0.3, 0};
+        asked.apart = 0;
+        CHECK(trace16(map, tree, {ray}, asked)[0][0] ==
+              Approx(std::abs(z - 5) < 0.1 ? 0.0 : 1.0).margin(1e-6));
+    }
+}
+
+TEST_CASE("a texel that is half covered by surfaces lets half of the light through",
+          "[trace][exact]") {
+    const ShadowMap map =
+        mapOf(mediaInfo(32), parallel(32), [](std::uint32_t x, std::uint32_t y) {
+            return (x + y) % 2 ? std::vector<TestLayer>{{5.0f, 0.0f, 1}}
+                               : std::vector<TestLayer>{};
+        });
+    const DensityTree tree = treeOf(map);
+    for (std::size_t level = 1; level < tree.surfaces().levels.size(); ++level) {
+        Ray ray;
+        ray.origin = {0.1, 0.1, -6};
+        ray.delta = {0, 0, 5};
+        Asked asked;
+        asked.apart = std::ldexp(parallel(32).pixelFootprint(1), int(level) + 5);
+        CHECK(trace16(map, tree, {ray}, asked)[0][0] == Approx(0.5).epsilon(0.003));
+    }
+}
+
+TEST_CASE("what a ray meets does not depend on which rays share its bundle",
+          "[trace][exact]") {
+    const ShadowMap map = anyMap(test::plainProjection(40, 40), 40, true, 3);
+    const DensityTree tree = treeOf(map);
+    const std::vector<Ray> rays = anyRays(64, 9);
+    for (const double apart : {0.0, 0.6}) {
+        Asked asked;
+        asked.apart = apart;
+        asked.darkDepth = 3.0f;
+        const auto together = trace16(map, tree, rays, asked);
+        for (std::size_t i = 0; i < rays.size(); ++i)
+            CHECK(trace16(map, tree, {rays[i]}, asked)[0] == together[i]);
+    }
+}
+
+TEST_CASE(
+    "blocks add to their depths; rays that are closed meet nothing and dark ones "
+    "are closed",
+    "[trace]") {
+    const ShadowMap map = mapOf(mediaInfo(16), parallel(16), [](std::uint32_t x, auto) {
+        return std::vector<TestLayer>{{3.0f, x < 8 ? 0.5f : 1e-4f, 1}};
+    });
+    const DensityTree tree = treeOf(map);
+    const auto bundle = std::make_unique<RayBundle>();
+    const auto depths = std::make_unique<RayDepths>();
+    *bundle = {};
+    *depths = {};
+    bundle->blocks = 3;
+    for (int b = 0; b < 3; ++b) {
+        for (int i = 0; i < kLanes; ++i) {
+            Ray ray;
+            ray.origin = {-9.0 + i * 1.2, 0.1, -4};
+            ray.delta = {0, 0, 2};
+            test::put(*bundle, b, i,
+                      test::straighten(map.projection(0), ray, test::nearestOf(map, 0)));
+            depths->depth[0][b][i] = float(b);
+        }
+    }
+    bundle->open[1] = 0x0f0f;
+    traceDensity(tree, {{}, 6.0f}, *bundle, *depths);
+    for (int b = 0; b < 3; ++b) {
+        for (int i = 0; i < kLanes; ++i) {
+            const bool thin = -9.0 + i * 1.2 < 0;
+            const bool open = b != 1 || (0x0f0f >> i & 1);
+            INFO("block " << b << ", lane " << i);
+            CHECK(depths->depth[0][b][i] ==
+                  Approx(b + (open ? -std::log(thin ? 0.5 : 1e-4) : 0)).epsilon(0.003));
+            CHECK((bundle->open[b] >> i & 1) == (open && thin ? 1 : 0));
+        }
+    }
+}
+
+TEST_CASE("three channels are met as three maps of one channel are", "[trace][twin]") {
+    Random random(21);
+    const std::uint32_t side = 16;
+    MapInfo info = mediaInfo(side);
+    std::vector<std::vector<TestLayer>> layers[3];
+    for (std::uint32_t i = 0; i < side * side; ++i) {
+        const std::vector<TestLayer> red = anyLayers(random, false);
+        for (auto& channel : layers) {
+            channel.push_back(red);
+            for (TestLayer& layer : channel.back())
+                layer.v = std::pow(layer.v, float(random(0.5, 2)));
+            // Visibility falls.
+            float before = 1.0f;
+            for (TestLayer& layer : channel.back()) {
+                layer.v = std::min(layer.v, before);
+                before = layer.v > 0.0f ? layer.v : 1.0f;
+            }
+        }
+    }
+    const Projection p = test::plainProjection(side, side);
+    std::vector<MapFace> faces(1);
+    faces[0].projection = p;
+    for (std::uint32_t tile = 0; tile < 4; ++tile) {
+        Tile t;
+        t.begin.push_back(0);
+        std::vector<float> v[3];
+        for (std::uint32_t i = 0; i < 64; ++i) {
+            const std::uint32_t pixel =
+                (tile / 2 * 8 + i / 8) * side + tile % 2 * 8 + i % 8;
+            for (std::size_t k = 0; k < layers[0][pixel].size(); ++k) {
+                t.z.push_back(layers[0][pixel][k].z);
+                t.n.push_back(layers[0][pixel][k].n);
+                for (int c = 0; c < 3; ++c)
+                    v[c].push_back(layers[c][pixel][k].v);
+            }
+            t.begin.push_back(std::uint32_t(t.z.size()));
+        }
+        for (const auto& plane : v)
+            t.v.insert(t.v.end(), plane.begin(), plane.end());
+        faces[0].tiles.push_back(std::move(t));
+    }
+    info.channels = 3;
+    auto coloured = ShadowMap::create(info, std::move(faces));
+    REQUIRE(coloured);
+    const DensityTree tree = treeOf(*coloured);
+    const std::vector<Ray> rays = anyRays(160, 22);
+    onEveryTarget([&] {
+        const auto visible = trace16(*coloured, tree, rays);
+        for (std::size_t c = 0; c < 3; ++c) {
+            const ShadowMap one = mapOf(mediaInfo(side), p, [&](auto x, auto y) {
+                return layers[c][y * side + x];
+            });
+            const auto alone = trace16(one, treeOf(one), rays);
+            for (std::size_t i = 0; i < rays.size(); ++i)
+                CHECK(visible[i][c] == Approx(alone[i][0]).margin(0.004));
+        }
+    });
+}
+
+TEST_CASE("no bundle makes the kernel hang or answer with what is no number",
+          "[trace][extreme]") {
+    Random random(31);
+    std::vector<ShadowMap> maps;
+    maps.push_back(anyMap(test::plainProjection(33, 33), 33, true, 3));
+    maps.push_back(anyMap(parallel(33), 33, false, 3));
+    // Depths from 1e-6 to 1e9 in one pixel.
+    maps.push_back(mapOf(mediaInfo(16), test::plainProjection(16, 16), [](auto, auto) {
+        std::vector<TestLayer> layers;
+        for (double z = 1e-6; z < 2e9; z *= 10)
+            layers.push_back(
+                {float(z), float(1e-3 / (z + 1e-3)), layers.empty() ? 1u : 7u});
+        return layers;
+    }));
+    maps.push_back(mapOf(mediaInfo(16), test::plainProjection(16, 16), [](auto, auto) {
+        return std::vector<TestLayer>{{3e38f, 0.5f, 1}, {3.3e38f, 0.0f, 9}};
+    }));
+    std::mt19937_64 bits(77);
+    const float odd[] = {0.0f,   -0.0f,  1.0f,  -1.0f,  0.5f,     16.0f,     1e-30f,
+                         1e30f,  -1e30f, 1e38f, -1e38f, INFINITY, -INFINITY, NAN,
+                         1e-45f, 33.0f,  8.0f,  -0.25f, 1e-6f,    1e9f};
+    const auto number = [&] {
+        if (bits() % 3 == 0) return float(random(-1, 40));
+        return odd[bits() % std::size(odd)];
+    };
+    const auto bundle = std::make_unique<RayBundle>();
+    const auto depths = std::make_unique<RayDepths>();
+    for (const ShadowMap& map : maps) {
+        const DensityTree tree = treeOf(map);
+        onEveryTarget([&] {
+            for (int round = 0; round < 40; ++round) {
+                bundle->blocks = 4;
+                *depths = {};
+                for (int i = 0; i < kLanes; ++i) {
+                    bundle->u[i] = number();
+                    bundle->v[i] = number();
+                    bundle->w[i] = number();
+                    bundle->texel[i] = number();
+                    for (int b = 0; b < 4; ++b) {
+                        bundle->du[b][i] = number();
+                        bundle->dv[b][i] = number();
+                        bundle->dw[b][i] = number();
+                        bundle->begin[b][i] = bits() % 2 ? 0.0f : number();
+                        bundle->beginSurfaces[b][i] = bits() % 2 ? 0.0f : number();
+                        bundle->open[b] = std::uint16_t(bits() % 4 ? 0xffff : bits());
+                    }
+                }
+                traceDensity(tree, {{0.01, 1e-3}, 6.9f}, *bundle, *depths);
+                for (int b = 0; b < 4; ++b) {
+                    for (int i = 0; i < kLanes; ++i)
+                        REQUIRE((std::isfinite(depths->depth[0][b][i]) &&
+                                 depths->depth[0][b][i] >= 0.0f));
+                }
+            }
+        });
+    }
+}
+
+TEST_CASE("a density tree is the same for any number of threads", "[trace]") {
+    const ShadowMap map = anyMap(test::plainProjection(100, 100), 100, true, 3);
+    const DensityTree many = treeOf(map);
+    tbb::task_arena(1).execute([&] {
+        const DensityTree one = treeOf(map);
+        for (const auto pyramid : {&DensityTree::translucent, &DensityTree::surfaces}) {
+            const auto& a = (many.*pyramid)().levels;
+            const auto& b = (one.*pyramid)().levels;
+            REQUIRE(a.size() == b.size());
+            for (std::size_t i = 0; i < a.size(); ++i) {
+                CHECK(a[i].slabs == b[i].slabs);
+                REQUIRE(a[i].texels.size() == b[i].texels.size());
+                bool same = true;
+                for (std::size_t t = 0; t < a[i].texels.size(); ++t) {
+                    const DensityTexel &x = a[i].texels[t], &y = b[i].texels[t];
+                    same = same && x.low == y.low && x.high == y.high &&
+                           x.begin == y.begin && x.count == y.count;
+                }
+                CHECK(same);
+            }
+        }
+    });
+}
+
+TEST_CASE("levels below the finest asked for are left out", "[trace]") {
+    const ShadowMap map = hairMap(64, 2000);
+    DensityOptions options;
+    options.finest = 2;
+    const DensityTree tree = treeOf(map, options), whole = treeOf(map);
+    CHECK(tree.memoryBytes() < whole.memoryBytes() / 4);
+    // Rays that would read level 2 at the least find the same.
+    Random random(2);
+    std::vector<Ray> rays(64);
+    for (Ray& ray : rays) {
+        ray.origin = {random(-9, 9), random(-9, 9), -30};
+        ray.delta = {random(-1, 1), random(-1, 1), 29};
+    }
+    Asked asked;
+    asked.apart = 8.0 * map.projection(0).pixelFootprint(1);
+    CHECK(trace16(map, tree, rays, asked) == trace16(map, whole, rays, asked));
+    // However few levels there are.
+    options.finest = 100;
+    CHECK(treeOf(map, options).translucent().levels.size() ==
+          whole.translucent().levels.size());
+}
+
+TEST_CASE("sheets without a bias are met as the definition meets them", "[trace][twin]") {
+    for (const bool perspective : {true, false}) {
+        const Projection p = perspective ? test::plainProjection(40, 40) : parallel(40);
+        MapInfo info = mediaInfo(40);
+        info.translucent = Translucent::sheets;
+        Random random(13);
+        const ShadowMap map =
+            mapOf(info, p, [&](auto, auto) { return anyLayers(random, true); });
+        const DensityTree tree = treeOf(map);
+        std::vector<Ray> rays = anyRays(800, 14);
+        for (Ray& ray : rays)
+            ray.tSurfaces = ray.tBegin;
+        onEveryTarget([&] {
+            const auto visible = trace16(map, tree, rays);
+            std::vector<double> errors;
+            for (std::size_t i = 0; i < rays.size(); ++i)
+                errors.push_back(std::abs(visible[i][0] - traceRay(map, rays[i], {})[0]));
+            CHECK(worst(errors, 0.99) < 0.004);
+        });
+    }
+}
+
+TEST_CASE("a tilted sheet is paid for once, from texels of any size", "[trace][exact]") {
+    // Three of opacity 1/2, at slopes up to about one, met within a pixel's footprint.
+    const std::uint32_t side = 128;
+    for (const bool perspective : {false, true}) {
+        Projection p = perspective ? test::plainProjection(side, side) : parallel(side);
+        if (perspective) p.scale *= 4.0;
+        MapInfo info = mediaInfo(side);
+        info.translucent = Translucent::sheets;
+        const auto depthOf = [&](double tilt, double z, std::uint32_t x,
+                                 std::uint32_t y) {
+            const glm::dvec3 c = p.lightFromRaster({x + 0.5, y + 0.5}, 1.0);
+            // z = depth + tilt (x + y / 2) of light space.
+            const double across = tilt * (c.x + c.y / 2);
+            return float(perspective ? z / (1 - across) : z + across);
+        };
+        const ShadowMap map = mapOf(info, p, [&](std::uint32_t x, std::uint32_t y) {
+            float z[] = {depthOf(0.2, 20, x, y), depthOf(-0.7, 40, x, y),
+                         depthOf(0.9, 60, x, y)};
+            std::sort(std::begin(z), std::end(z));
+            return std::vector<TestLayer>{
+                {z[0], 0.5f, 1}, {z[1], 0.25f, 1}, {z[2], 0.125f, 1}};
+        });
+        const DensityTree tree = treeOf(map);
+        const double footprint = p.pixelFootprint(1.0);
+        Asked asked;
+        asked.bias = perspective ? ZBias{0.0, footprint} : ZBias{footprint, 0.0};
+        Random random(6);
+        std::vector<Ray> rays(400);
+        for (Ray& ray : rays) {
+            const double reach = perspective ? 5 : 4;
+            ray.origin = {random(-reach, reach), random(-reach, reach), -100};
+            ray.delta = glm::dvec3(random(-1, 1), random(-1, 1), -1) *
+                            glm::dvec3(reach / 5, reach / 5, 1) -
+                        ray.origin;
+        }
+        for (const double apart : {0.0, 0.5, 2.0}) {
+            asked.apart = apart;
+            const auto visible = trace16(map, tree, rays, asked);
+            std::size_t once = 0;
+            double mean = 0.0;
+            for (const auto& v : visible) {
+                once += std::abs(v[0] - 0.125) < 0.002;
+                mean += v[0] / double(visible.size());
+            }
+            INFO((perspective ? "perspective" : "parallel") << ", texels of " << apart);
+            CHECK(double(once) >= 0.97 * double(visible.size()));
+            // Where texels grow a ray may pass between the depths of two levels.
+            CHECK(std::abs(mean - 0.125) < 0.002);
+        }
+    }
+}
+
+TEST_CASE("an empty map has an empty density tree", "[trace]") {
+    const ShadowMap map = mapOf(mediaInfo(8), parallel(8),
+                                [](auto, auto) { return std::vector<TestLayer>{}; });
+    const DensityTree tree = treeOf(map);
+    CHECK(tree.translucent().empty());
+    CHECK(tree.surfaces().empty());
+    Ray ray;
+    ray.origin = {0, 0, -5};
+    ray.delta = {0, 0, 4};
+    CHECK(trace16(map, tree, {ray})[0][0] == 1.0);
+}
