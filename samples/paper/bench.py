@@ -32,7 +32,7 @@ class BenchScene(Scene):
 
 
 def goal(goals, scene, light):
-    return number(goals[scene][light]) if scene in goals and light < len(SIZES) else "-"
+    return f"{goals[scene][light]:g}" if scene in goals and light < len(SIZES) else "-"
 
 
 def equal_samples(scenes):

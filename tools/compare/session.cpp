@@ -199,16 +199,20 @@ Session::Built& Session::built(std::size_t light, const PlannedRun& run) {
             fail(made, method.error());
         return seconds;
     };
-    // Up to three times with all threads; once with one, unless that is too long.
-    std::vector<double> seconds;
-    double total = 0.0;
-    do {
-        seconds.push_back(build(options_.threads));
-        total += seconds.back();
-    } while (made.failure.empty() && seconds.size() < 3 && total < kLong);
+    // Up to three times; with one thread not at all if that is too long.
+    const auto timed = [&](int threads) {
+        std::vector<double> seconds;
+        double total = 0.0;
+        do {
+            seconds.push_back(build(threads));
+            total += seconds.back();
+        } while (made.failure.empty() && seconds.size() < 3 && total < kLong);
+        return timingOf(seconds);
+    };
+    const Timing all = timed(options_.threads);
     if (!made.failure.empty()) return made;
-    made.seconds.all = timingOf(seconds);
-    if (made.seconds.all->median < 3 * kLong) made.seconds.one = timingOf({build(1)});
+    made.seconds.all = all;
+    if (all.median < 3 * kLong) made.seconds.one = timed(1);
     return made;
 }
 
