@@ -87,7 +87,7 @@ struct Arguments {
     PlacementOptions placement;
     std::string resolution = "1024";
     std::int64_t layers = 0, subsamples = 1;  // layers 0: not given
-    std::string resets = "all", nearField = "none";
+    std::string resets = "all", nearField = "auto";
     std::optional<double> bias, tolerance, opacity;
     std::optional<double> hairWidth, hairTipWidth, hairOpacity, hairScale, densityScale;
     std::string densityGrid;
@@ -202,7 +202,7 @@ void addLayerOptions(CLI::App& app, Arguments& a) {
     addChecked(app, "--near-field", a.nearField, "auto|none|SIZE", parseNearField,
                "keep the triangles themselves as well, for exact\n"
                "shadows next to what casts them, if they take at\n"
-               "most SIZE in memory: 32M; auto: 64M (default: none);\n"
+               "most SIZE in memory: 32M; auto: 64M (default: auto);\n"
                "only of casters that are all opaque triangles")
         ->group(group);
 }

@@ -162,9 +162,10 @@ void addOptions(CLI::App& app, Arguments& a) {
               "a ray with less visibility left is dark, 0 to\n"
               "below 1 (default: 1/1024)")
         ->group("Query");
-    addChoice(app, "--method", a.method, {"trace", "pcf"},
-              "rays through the map, or percentage-closer\n"
-              "filtering for small lights (default: trace)")
+    addChoice(app, "--method", a.method, {"trace", "scalar", "pcf"},
+              "rays through the map; the same ray by ray, as the\n"
+              "paper does, slow; or percentage-closer filtering,\n"
+              "for small lights (default: trace)")
         ->group("Query");
     addChoice(app, "--weight", a.weight, {"uniform", "cosine"},
               "plain mean over the light, or the ratio of\n"
@@ -626,7 +627,7 @@ void runPoints(const Arguments& a, Kind kind, const ShadowMap& map, Talk& talk) 
     options.seed = std::uint32_t(a.seed);
     if (a.bias) options.bias = float(*a.bias);
     if (a.threshold) options.threshold = float(*a.threshold);
-    options.method = a.method.value_or(0) == 1 ? ShadowMethod::pcf : ShadowMethod::trace;
+    options.method = ShadowMethod(a.method.value_or(0));
     options.weight = a.weight.value_or(0) == 1 ? Weight::cosine : Weight::uniform;
     options.attenuation = attenuation(a);
     unwrap(checkQuery(map, light, options));

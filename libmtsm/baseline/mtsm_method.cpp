@@ -67,7 +67,7 @@ MethodInfo mtsmMethod() {
         numberSetting("bias", -1.0, -1.0, 1e9,
                       "z threshold of the map, world units; -1: as mtsm-bake",
                       SettingUse::build),
-        wordSetting("near", {"none", "auto"}, "the casters' triangles beside the layers",
+        wordSetting("near", {"auto", "none"}, "the casters' triangles beside the layers",
                     SettingUse::build),
         wholeSetting("samples", 256, 1, kMaxSamples, "rays per point"),
         numberSetting("query-bias", -1.0, -1.0, 1e9,

@@ -20,6 +20,10 @@ constexpr float kSteepest = 3.0f;
 /// the flattest first.
 constexpr std::array kTolerances = {1.0f, 4.0f};
 
+/// PatchTree::Options::flatness of the trees of queries: what is close to receivers must
+/// be more exact if no near field answers for it (tests/bench/NOTES.md).
+constexpr float kFlatAlone = 0.3f, kFlatBesideNearField = 3.0f;
+
 /// Sums over samples, enough to fit a plane to them.
 struct Moments {
     double n = 0, u = 0, v = 0, w = 0, uu = 0, uv = 0, vv = 0, uw = 0, vw = 0;
@@ -717,10 +721,7 @@ const std::vector<PatchTree>& patchTrees(const ShadowMap& map) {
         for (std::uint32_t face = 0; face < map.faceCount(); ++face)
             trees.push_back(PatchTree::build(
                 map, face,
-                {.flatness =
-                     map.nearField(face).empty()
-                         ? 0.3f
-                         : (getenv("FLAT") ? float(atof(getenv("FLAT"))) : 2.0f)}));
+                {map.nearField(face).empty() ? kFlatAlone : kFlatBesideNearField}));
         return trees;
     });
 }
