@@ -35,6 +35,7 @@ HEAVY = {
     "Imath": {"io"},
     "png.h": {"io"},
     "embree3": {"baseline"},
+    "hwy": {"format", "trace"},
     "zstd": {"format"},
     "xxhash": {"base"},
     "CLI": set(),
