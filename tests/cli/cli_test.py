@@ -71,7 +71,7 @@ OPTIONS = {
     "bake": """--output --light-shape --light-position --light-target --light-direction --light-up
                --light-radius --light-size --light-angle --light-name --projection --fov --near --far
                --resolution --subsamples --bias --cull --layers --tolerance --resets --color
-               --keep-hidden --opacity --include --exclude --texture --hair-width --hair-tip-width --hair-opacity
+               --keep-hidden --rounding --opacity --include --exclude --texture --hair-width --hair-tip-width --hair-opacity
                --hair-scale --density-grid --density-scale --codec --level --threads --max-memory
                --quiet --json --version --help""",
     "query": """--point --normal --points --rays --position --position-layer --normal-pass
@@ -503,6 +503,7 @@ class Job(ToolTest):
             resets = 2
             color = false
             keep-hidden = true
+            rounding = 0.0
             codec = "zstd"
             level = 5
             [[caster]]
@@ -1231,7 +1232,7 @@ class Dump(ToolTest):
         hidden = json.loads(done.stdout)["droppedHidden"]
         self.assertGreater(hidden, 0)  # the floor below the square
         attributes = json.loads(run("dump", "both.mtsm", "--json").stdout)["attributes"]
-        self.assertEqual(attributes, {"hiddenLayers": hidden})
+        self.assertEqual(attributes, {"hiddenLayers": hidden, "rounding": [1 / 64]})
         counted = f"{hidden:,}".replace(",", " ")
         self.assertIn(f"hidden layers       {counted} dropped: ", run("dump", "both.mtsm").stdout)
 

@@ -94,6 +94,7 @@ constexpr Key kKeys[] = {
     {"map", "resets", Form::resets},
     {"map", "color", Form::flag},
     {"map", "keep-hidden", Form::flag},
+    {"map", "rounding", Form::number},
     {"map", "codec", Form::text},
     {"map", "level", Form::whole},
 
