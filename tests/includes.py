@@ -35,7 +35,7 @@ HEAVY = {
     "Imath": {"io"},
     "png.h": {"io"},
     "embree3": {"baseline"},
-    "hwy": {"format", "trace"},
+    "hwy": {"format", "raster", "trace"},
     "zstd": {"format"},
     "xxhash": {"base"},
     "CLI": set(),

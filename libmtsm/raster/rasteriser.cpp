@@ -5,8 +5,10 @@
 #include <array>
 #include <bit>
 #include <glm/geometric.hpp>
+#include <span>
 
 #include "base/parallel.h"
+#include "raster/draw_nearest.h"
 #include "raster/light_from_object.h"
 #include "raster/mesh_chunk.h"
 
@@ -18,7 +20,7 @@ namespace {
 constexpr std::uint32_t kSliceTriangles = 4096;
 constexpr std::uint32_t kSlices = 32;
 constexpr std::uint32_t kBatchTriangles = kSlices * kSliceTriangles;
-constexpr std::uint32_t kMostBins = 1024;
+constexpr std::uint32_t kMostBins = 4096;
 
 static_assert(KBuffer::kTileShift == SampleGrid::kTileShift);
 constexpr std::uint32_t kTileShift = KBuffer::kTileShift;
@@ -155,19 +157,20 @@ void Rasteriser::drawBin(std::uint32_t bin) const {
     const bool perspective = projection_.kind == ProjectionKind::perspective;
     for (const Slice& slice : slices_) {
         if (slice.taken == 0) continue;
+        if (buffer_) {
+            const std::span<const std::uint32_t> order(
+                slice.order.data() + slice.begin[bin],
+                slice.begin[bin + 1] - slice.begin[bin]);
+            drawNearest(projection_.kind, slice.triangles, order, pixels, *buffer_);
+            continue;
+        }
         for (std::uint32_t i = slice.begin[bin]; i < slice.begin[bin + 1]; ++i) {
             const PreparedTriangle& t = slice.triangles[slice.order[i]];
-            if (grid_) {
-                const Surface& surface = slice.surfaces[t.surface];
-                if (perspective)
-                    drawInGrid<ProjectionKind::perspective>(t, surface, pixels);
-                else
-                    drawInGrid<ProjectionKind::orthographic>(t, surface, pixels);
-            } else if (perspective) {
-                drawInBin<ProjectionKind::perspective>(t, pixels);
-            } else {
-                drawInBin<ProjectionKind::orthographic>(t, pixels);
-            }
+            const Surface& surface = slice.surfaces[t.surface];
+            if (perspective)
+                drawInGrid<ProjectionKind::perspective>(t, surface, pixels);
+            else
+                drawInGrid<ProjectionKind::orthographic>(t, surface, pixels);
         }
     }
 }
@@ -180,38 +183,6 @@ PixelRect Rasteriser::wantedPixels() const noexcept {
         all.y1 = std::int32_t(grid_->endPixelRow() << subsampleShift_) - 1;
     }
     return all;
-}
-
-namespace {
-
-/// Calls draw(tx, ty, part) for the parts of `pixels` that lie in one tile each.
-template <typename Draw>
-void forEachTile(PixelRect pixels, std::uint32_t shift, const Draw& draw) {
-    const std::int32_t side = 1 << shift;
-    for (std::int32_t ty = pixels.y0 >> shift; ty <= pixels.y1 >> shift; ++ty) {
-        for (std::int32_t tx = pixels.x0 >> shift; tx <= pixels.x1 >> shift; ++tx) {
-            const std::int32_t left = tx * side, top = ty * side;
-            draw(std::uint32_t(tx), std::uint32_t(ty),
-                 intersect(pixels, {left, top, left + side - 1, top + side - 1}));
-        }
-    }
-}
-
-}  // namespace
-
-template <ProjectionKind kind>
-void Rasteriser::drawInBin(const PreparedTriangle& t, PixelRect bin) const {
-    forEachTile(intersect(t.pixels(), bin), kTileShift,
-                [&](std::uint32_t tx, std::uint32_t ty, PixelRect within) {
-                    KTile& tile = buffer_->tile(tx, ty);
-                    const auto left = std::int32_t(tx << kTileShift);
-                    const auto top = std::int32_t(ty << kTileShift);
-                    const auto width = std::int32_t(tile.width());
-                    drawTriangle<kind>(
-                        t, within, [&](std::int32_t x, std::int32_t y, float z) {
-                            tile.insert(std::uint32_t((y - top) * width + (x - left)), z);
-                        });
-                });
 }
 
 template <ProjectionKind kind>

@@ -153,6 +153,20 @@ class TriangleSetup {
     std::int32_t width_, height_;
 };
 
+/// Calls draw(tx, ty, part) for the parts of `pixels` that lie in one tile each, of
+/// 2^shift pixels a side.
+template <typename Draw>
+void forEachTile(PixelRect pixels, std::uint32_t shift, const Draw& draw) {
+    const std::int32_t side = 1 << shift;
+    for (std::int32_t ty = pixels.y0 >> shift; ty <= pixels.y1 >> shift; ++ty) {
+        for (std::int32_t tx = pixels.x0 >> shift; tx <= pixels.x1 >> shift; ++tx) {
+            const std::int32_t left = tx * side, top = ty * side;
+            draw(std::uint32_t(tx), std::uint32_t(ty),
+                 intersect(pixels, {left, top, left + side - 1, top + side - 1}));
+        }
+    }
+}
+
 namespace detail {
 
 /// The three edge functions at one pixel centre: all >= 0 where it is covered. Ties are

@@ -54,10 +54,11 @@ std::vector<Pixel> nearest(const Projection& p, std::uint32_t side, std::uint32_
         for (std::uint32_t x = 0; x < side; ++x) {
             const KTile& tile = buffer.tile(x / 64, y / 64);
             if (tile.empty()) continue;
-            const std::uint32_t at = y % 64 * tile.width() + x % 64;
-            *dropped -= tile.count(at);
-            for (std::uint32_t i = 0; i < tile.count(at); ++i)
-                pixels[y * side + x].samples.emplace_back(tile.z(at)[i], 1.0f);
+            const std::uint32_t at = y % 64 * tile.stride() + x % 64;
+            const std::uint32_t count = tile.count(x % 64, y % 64);
+            *dropped -= count;
+            for (std::uint32_t i = 0; i < count; ++i)
+                pixels[y * side + x].samples.emplace_back(tile.plane(i)[at], 1.0f);
         }
     }
     return pixels;

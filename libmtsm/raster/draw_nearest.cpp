@@ -1,0 +1,245 @@
+// A sample is put in its place by moving it through the planes from the front: each keeps
+// the nearer one of what it has and what comes, and hands on the other. Pixels that are
+// not covered take part with kNoSample, which changes nothing.
+#include "raster/draw_nearest.h"
+
+#include <bit>
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "raster/draw_nearest.cpp"
+#include <hwy/foreach_target.h>
+// After foreach_target.h:
+#include <hwy/highway.h>
+
+HWY_BEFORE_NAMESPACE();
+namespace mtsm::raster::HWY_NAMESPACE {
+namespace {
+
+namespace hn = hwy::HWY_NAMESPACE;
+
+// A block is some neighbouring pixels of a row that begin at a multiple of their number.
+using Doubles = hn::CappedTag<double, 4>;
+using Floats = hn::Rebind<float, Doubles>;
+using Ints = hn::Rebind<std::int32_t, Doubles>;
+using FloatMask = hn::Mask<Floats>;
+using FloatVec = hn::Vec<Floats>;
+
+static_assert(KTile::kRowAlignment % hn::MaxLanes(Doubles()) == 0);
+
+/// Samples of a block one by one, where copies have to be moved along.
+void insertOneByOne(KTile& tile, std::uint32_t x, std::uint32_t y, FloatVec z,
+                    FloatMask covered) {
+    const Floats d;
+    float depths[hn::MaxLanes(Floats())];
+    hn::StoreU(hn::IfThenElse(covered, z, hn::Set(d, KTile::kNoSample)), d, depths);
+    for (std::uint32_t i = 0; i < hn::Lanes(d); ++i) {
+        if (depths[i] < KTile::kNoSample) tile.insert(x + i, y, depths[i]);
+    }
+}
+
+/// Samples at the depths of those that planes hold are their copies.
+void countCopies(KTile& tile, std::uint32_t layer, std::uint32_t place,
+                 FloatMask copies) {
+    const Floats d;
+    float which[hn::MaxLanes(Floats())];
+    hn::StoreU(hn::IfThenElseZero(copies, hn::Set(d, 1.0f)), d, which);
+    for (std::uint32_t i = 0; i < hn::Lanes(d); ++i) {
+        if (which[i] != 0.0f) tile.addCopy(layer, place + i);
+    }
+}
+
+/// The block whose first pixel is (x, y) of the tile.
+HWY_INLINE void insert(KTile& tile, std::uint32_t x, std::uint32_t y, FloatVec z,
+                       FloatMask covered) {
+    const Floats d;
+    if (HWY_UNLIKELY(tile.hasCopies())) return insertOneByOne(tile, x, y, z, covered);
+    tile.countSamples(hn::CountTrue(d, covered));
+    const auto none = hn::Set(d, KTile::kNoSample);
+    z = hn::IfThenElse(covered, z, none);
+    const std::uint32_t place = y * tile.stride() + x, layers = tile.layers();
+    if (layers > 1 && tile.planes() == layers) {
+        const auto last = hn::LoadU(d, tile.plane(layers - 1) + place);
+        z = hn::IfThenElse(hn::Le(z, last), z, none);
+    }
+    auto live = hn::Lt(z, none);
+    for (std::uint32_t k = 0; k < layers && !hn::AllFalse(d, live); ++k) {
+        if (HWY_UNLIKELY(k == tile.planes()) && !tile.addPlane()) return;
+        float* const plane = tile.plane(k) + place;
+        const auto kept = hn::LoadU(d, plane);
+        const auto copies = hn::And(hn::Eq(kept, z), live);
+        if (HWY_UNLIKELY(!hn::AllFalse(d, copies))) {
+            countCopies(tile, k, place, copies);
+            z = hn::IfThenElse(copies, none, z);
+        }
+        hn::StoreU(hn::Min(kept, z), d, plane);
+        z = hn::Max(kept, z);
+        live = hn::Lt(z, none);
+    }
+}
+
+/// Depths of the triangle's plane, at pixel centres.
+template <ProjectionKind kind>
+class Depths {
+  public:
+    explicit Depths(const PreparedTriangle& t)
+        : at_(hn::Set(d_, t.at)),
+          dx_(hn::Set(d_, t.dx)),
+          dy_(hn::Set(d_, t.dy)),
+          zMin_(hn::Set(d_, double(t.zMin))),
+          zMax_(hn::Set(d_, double(t.zMax))) {}
+
+    /// dx, dy pixels from the triangle's first one.
+    [[nodiscard]] HWY_INLINE FloatVec at(hn::Vec<Ints> dx, hn::Vec<Ints> dy) const {
+        const auto x = hn::PromoteTo(d_, dx), y = hn::PromoteTo(d_, dy);
+        const auto q = hn::Add(hn::Add(at_, hn::Mul(dx_, x)), hn::Mul(dy_, y));
+        auto z = q;
+        if constexpr (kind == ProjectionKind::perspective)
+            z = hn::IfThenElse(hn::Gt(q, hn::Zero(d_)), hn::Div(hn::Set(d_, 1.0), q),
+                               zMax_);  // else the plane runs past the ray
+        return hn::DemoteTo(Floats(), hn::Min(hn::Max(z, zMin_), zMax_));
+    }
+
+  private:
+    Doubles d_;
+    hn::Vec<Doubles> at_, dx_, dy_, zMin_, zMax_;
+};
+
+/// Which of the 8 x 8 pixels from where the edges stand a small triangle covers: bit
+/// 8 y + x.
+HWY_INLINE std::uint64_t coverage(const detail::Edges& edges) {
+    const hn::CappedTag<std::int32_t, 8> d;
+    constexpr std::int32_t kSide = 8;
+    const auto lanes = std::int32_t(hn::Lanes(d));
+    std::uint64_t covered = 0;
+    for (std::int32_t x = 0; x < kSide; x += lanes) {
+        const auto numbers = hn::Iota(d, x);
+        const auto first = [&](int i) {
+            return hn::Add(hn::Set(d, std::int32_t(edges.value[i])),
+                           hn::Mul(hn::Set(d, edges.stepX[i]), numbers));
+        };
+        auto a = first(0), b = first(1), c = first(2);
+        const auto stepA = hn::Set(d, edges.stepY[0]), stepB = hn::Set(d, edges.stepY[1]),
+                   stepC = hn::Set(d, edges.stepY[2]);
+        for (std::int32_t y = 0; y < kSide; ++y) {
+            const auto within = hn::Gt(hn::Or(a, hn::Or(b, c)), hn::Set(d, -1));
+            std::uint8_t bits[8] = {};
+            hn::StoreMaskBits(d, within, bits);
+            covered |= std::uint64_t(bits[0]) << (kSide * y + x);
+            a = hn::Add(a, stepA);
+            b = hn::Add(b, stepB);
+            c = hn::Add(c, stepC);
+        }
+    }
+    return covered;
+}
+
+/// A triangle that reaches over 8 x 8 pixels at most: its depths are computed some at a
+/// time, wherever they lie, and put into the tile one by one.
+template <ProjectionKind kind>
+HWY_INLINE void drawSmall(const PreparedTriangle& t, PixelRect r, std::int32_t left,
+                          std::int32_t top, KTile& tile) {
+    const std::int32_t w = r.x1 - r.x0 + 1, h = r.y1 - r.y0 + 1;
+    const std::uint64_t row = (std::uint64_t(1) << w) - 1;
+    const std::uint64_t rows = ~std::uint64_t(0) >> (64 - 8 * h);
+    std::uint64_t covered =
+        coverage(detail::Edges(t, r.x0, r.y0)) & (row * 0x0101010101010101u) & rows;
+    if (covered == 0) return;
+    std::uint32_t count = 0;
+    std::int32_t bits[64];
+    do {
+        bits[count++] = std::int32_t(std::countr_zero(covered));
+        covered &= covered - 1;
+    } while (covered != 0);
+
+    const Ints di;
+    const Depths<kind> depths(t);
+    const auto lanes = std::uint32_t(hn::Lanes(di));
+    float z[64 + hn::MaxLanes(Floats())];
+    for (std::uint32_t i = 0; i < count; i += lanes) {
+        const auto bit = hn::LoadU(di, bits + i);
+        const auto x = hn::And(bit, hn::Set(di, 7));
+        const auto y = hn::ShiftRight<3>(bit);
+        hn::StoreU(depths.at(hn::Add(x, hn::Set(di, r.x0 - t.x0)),
+                             hn::Add(y, hn::Set(di, r.y0 - t.y0))),
+                   Floats(), z + i);
+    }
+    const std::uint32_t x = std::uint32_t(r.x0 - left), y = std::uint32_t(r.y0 - top);
+    for (std::uint32_t i = 0; i < count; ++i)
+        tile.insert(x + std::uint32_t(bits[i] & 7), y + std::uint32_t(bits[i] >> 3),
+                    z[i]);
+}
+
+/// Any other triangle, block by block of the rows that it covers.
+template <ProjectionKind kind>
+void drawLarge(const PreparedTriangle& t, PixelRect r, std::int32_t left,
+               std::int32_t top, KTile& tile) {
+    const Ints di;
+    const auto lanes = std::int32_t(hn::Lanes(di));
+    const Depths<kind> depths(t);
+    detail::Edges edges(t, r.x0, r.y0);
+    const std::int32_t w = r.x1 - r.x0 + 1, h = r.y1 - r.y0 + 1;
+    if (edges.miss(w, h)) return;
+    for (std::int32_t y = r.y0; y <= r.y1; ++y, edges.down()) {
+        std::int64_t from = 0, to = w - 1;
+        edges.span(from, to);
+        if (from > to) continue;
+        const std::int32_t first = r.x0 + std::int32_t(from);
+        const std::int32_t last = r.x0 + std::int32_t(to);
+        const auto dy = hn::Set(di, y - t.y0);
+        for (std::int32_t x = first & -lanes; x <= last; x += lanes) {
+            const auto at = hn::Iota(di, x);
+            const auto outside =
+                hn::Or(hn::Sub(at, hn::Set(di, first)), hn::Sub(hn::Set(di, last), at));
+            insert(tile, std::uint32_t(x - left), std::uint32_t(y - top),
+                   depths.at(hn::Sub(at, hn::Set(di, t.x0)), dy),
+                   hn::RebindMask(Floats(), hn::Gt(outside, hn::Set(di, -1))));
+        }
+    }
+}
+
+template <ProjectionKind kind>
+void drawAll(std::span<const PreparedTriangle> triangles,
+             std::span<const std::uint32_t> order, PixelRect within, KBuffer& buffer) {
+    forEachTile(within, KBuffer::kTileShift,
+                [&](std::uint32_t tx, std::uint32_t ty, PixelRect pixels) {
+                    KTile& tile = buffer.tile(tx, ty);
+                    const auto left = std::int32_t(tx << KBuffer::kTileShift);
+                    const auto top = std::int32_t(ty << KBuffer::kTileShift);
+                    for (const std::uint32_t i : order) {
+                        const PreparedTriangle& t = triangles[i];
+                        const PixelRect r = intersect(t.pixels(), pixels);
+                        if (r.empty()) continue;
+                        if (t.small)
+                            drawSmall<kind>(t, r, left, top, tile);
+                        else
+                            drawLarge<kind>(t, r, left, top, tile);
+                    }
+                });
+}
+
+void drawNearestHere(ProjectionKind kind, std::span<const PreparedTriangle> triangles,
+                     std::span<const std::uint32_t> order, PixelRect within,
+                     KBuffer& buffer) {
+    if (kind == ProjectionKind::perspective)
+        drawAll<ProjectionKind::perspective>(triangles, order, within, buffer);
+    else
+        drawAll<ProjectionKind::orthographic>(triangles, order, within, buffer);
+}
+
+}  // namespace
+}  // namespace mtsm::raster::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace mtsm::raster {
+
+HWY_EXPORT(drawNearestHere);
+
+void drawNearest(ProjectionKind kind, std::span<const PreparedTriangle> triangles,
+                 std::span<const std::uint32_t> order, PixelRect within,
+                 KBuffer& buffer) {
+    HWY_DYNAMIC_DISPATCH(drawNearestHere)(kind, triangles, order, within, buffer);
+}
+
+}  // namespace mtsm::raster
+#endif
