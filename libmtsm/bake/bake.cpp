@@ -32,8 +32,8 @@ using base::makeError;
 constexpr double kBiasFootprints = 1.0;
 /// Layers of opaque casters unless asked otherwise [Xie07, sec. 7].
 constexpr std::uint32_t kOpaqueLayers = 5;
-constexpr float kRounding = 1.0f / 64.0f;   ///< measured: tests/bench/NOTES.md
-constexpr std::uint32_t kMostNearest = 64;  ///< layers that a k-buffer holds
+constexpr float kRounding = 1.0f / 64.0f;  ///< measured: tests/bench/NOTES.md
+constexpr std::uint32_t kMostNearest = raster::KBuffer::kMostLayers;
 constexpr std::uint32_t kTileSize = raster::KBuffer::kTileSize;
 
 /// Bytes that a face needs whatever the casters are: tiles, and the map's hierarchy.

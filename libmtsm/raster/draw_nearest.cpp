@@ -27,13 +27,12 @@ using FloatVec = hn::Vec<Floats>;
 static_assert(KTile::kRowAlignment % hn::MaxLanes(Doubles()) == 0);
 
 /// Samples of a block one by one, where copies have to be moved along.
-void insertOneByOne(KTile& tile, std::uint32_t x, std::uint32_t y, FloatVec z,
-                    FloatMask covered) {
+void insertOneByOne(KTile& tile, std::uint32_t place, FloatVec z, FloatMask covered) {
     const Floats d;
     float depths[hn::MaxLanes(Floats())];
     hn::StoreU(hn::IfThenElse(covered, z, hn::Set(d, KTile::kNoSample)), d, depths);
     for (std::uint32_t i = 0; i < hn::Lanes(d); ++i) {
-        if (depths[i] < KTile::kNoSample) tile.insert(x + i, y, depths[i]);
+        if (depths[i] < KTile::kNoSample) tile.insert(place + i, depths[i]);
     }
 }
 
@@ -48,15 +47,14 @@ void countCopies(KTile& tile, std::uint32_t layer, std::uint32_t place,
     }
 }
 
-/// The block whose first pixel is (x, y) of the tile.
-HWY_INLINE void insert(KTile& tile, std::uint32_t x, std::uint32_t y, FloatVec z,
-                       FloatMask covered) {
+/// The block that begins at this place of the tile's planes.
+HWY_INLINE void insert(KTile& tile, std::uint32_t place, FloatVec z, FloatMask covered) {
     const Floats d;
-    if (HWY_UNLIKELY(tile.hasCopies())) return insertOneByOne(tile, x, y, z, covered);
+    if (HWY_UNLIKELY(tile.hasCopies())) return insertOneByOne(tile, place, z, covered);
     tile.countSamples(hn::CountTrue(d, covered));
     const auto none = hn::Set(d, KTile::kNoSample);
     z = hn::IfThenElse(covered, z, none);
-    const std::uint32_t place = y * tile.stride() + x, layers = tile.layers();
+    const std::uint32_t layers = tile.layers();
     if (layers > 1 && tile.planes() == layers) {
         const auto last = hn::LoadU(d, tile.plane(layers - 1) + place);
         z = hn::IfThenElse(hn::Le(z, last), z, none);
@@ -77,7 +75,19 @@ HWY_INLINE void insert(KTile& tile, std::uint32_t x, std::uint32_t y, FloatVec z
     }
 }
 
-/// Depths of the triangle's plane, at pixel centres.
+/// The depth where a triangle's plane has the value q.
+template <ProjectionKind kind>
+HWY_INLINE FloatVec clampedDepth(hn::Vec<Doubles> q, hn::Vec<Doubles> zMin,
+                                 hn::Vec<Doubles> zMax) {
+    const Doubles d;
+    auto z = q;
+    if constexpr (kind == ProjectionKind::perspective)
+        z = hn::IfThenElse(hn::Gt(q, hn::Zero(d)), hn::Div(hn::Set(d, 1.0), q),
+                           zMax);  // else the plane runs past the ray
+    return hn::DemoteTo(Floats(), hn::Min(hn::Max(z, zMin), zMax));
+}
+
+/// Depths of a large triangle's plane, at pixel centres.
 template <ProjectionKind kind>
 class Depths {
   public:
@@ -92,11 +102,7 @@ class Depths {
     [[nodiscard]] HWY_INLINE FloatVec at(hn::Vec<Ints> dx, hn::Vec<Ints> dy) const {
         const auto x = hn::PromoteTo(d_, dx), y = hn::PromoteTo(d_, dy);
         const auto q = hn::Add(hn::Add(at_, hn::Mul(dx_, x)), hn::Mul(dy_, y));
-        auto z = q;
-        if constexpr (kind == ProjectionKind::perspective)
-            z = hn::IfThenElse(hn::Gt(q, hn::Zero(d_)), hn::Div(hn::Set(d_, 1.0), q),
-                               zMax_);  // else the plane runs past the ray
-        return hn::DemoteTo(Floats(), hn::Min(hn::Max(z, zMin_), zMax_));
+        return clampedDepth<kind>(q, zMin_, zMax_);
     }
 
   private:
@@ -133,41 +139,110 @@ HWY_INLINE std::uint64_t coverage(const detail::Edges& edges) {
     return covered;
 }
 
-/// A triangle that reaches over 8 x 8 pixels at most: its depths are computed some at a
-/// time, wherever they lie, and put into the tile one by one.
+/// Samples of small triangles on their way into a tile. Each is a division and a place
+/// somewhere in memory; together they wait for neither.
 template <ProjectionKind kind>
-HWY_INLINE void drawSmall(const PreparedTriangle& t, PixelRect r, std::int32_t left,
-                          std::int32_t top, KTile& tile) {
-    const std::int32_t w = r.x1 - r.x0 + 1, h = r.y1 - r.y0 + 1;
-    const std::uint64_t row = (std::uint64_t(1) << w) - 1;
-    const std::uint64_t rows = ~std::uint64_t(0) >> (64 - 8 * h);
-    std::uint64_t covered =
-        coverage(detail::Edges(t, r.x0, r.y0)) & (row * 0x0101010101010101u) & rows;
-    if (covered == 0) return;
-    std::uint32_t count = 0;
-    std::int32_t bits[64];
-    do {
-        bits[count++] = std::int32_t(std::countr_zero(covered));
-        covered &= covered - 1;
-    } while (covered != 0);
+class Samples {
+  public:
+    explicit Samples(KTile& tile) : tile_(tile) {}
+    ~Samples() { flush(); }
+    Samples(const Samples&) = delete;
+    Samples& operator=(const Samples&) = delete;
 
-    const Ints di;
-    const Depths<kind> depths(t);
-    const auto lanes = std::uint32_t(hn::Lanes(di));
-    float z[64 + hn::MaxLanes(Floats())];
-    for (std::uint32_t i = 0; i < count; i += lanes) {
-        const auto bit = hn::LoadU(di, bits + i);
-        const auto x = hn::And(bit, hn::Set(di, 7));
-        const auto y = hn::ShiftRight<3>(bit);
-        hn::StoreU(depths.at(hn::Add(x, hn::Set(di, r.x0 - t.x0)),
-                             hn::Add(y, hn::Set(di, r.y0 - t.y0))),
-                   Floats(), z + i);
+    /// A small triangle's, within the tile whose first pixel is (left, top).
+    HWY_INLINE void add(const PreparedTriangle& t, PixelRect r, std::int32_t left,
+                        std::int32_t top) {
+        const std::int32_t w = r.x1 - r.x0 + 1, h = r.y1 - r.y0 + 1;
+        const std::uint64_t row = (std::uint64_t(1) << w) - 1;
+        const std::uint64_t rows = ~std::uint64_t(0) >> (64 - 8 * h);
+        std::uint64_t covered =
+            coverage(detail::Edges(t, r.x0, r.y0)) & (row * 0x0101010101010101u) & rows;
+        if (covered == 0) return;
+        // What the plane gives is computed in the order in which drawTriangle() does.
+        double alongX[8], alongY[8];
+        const hn::CappedTag<double, 8> d;
+        const auto lanes = std::int32_t(hn::Lanes(d));
+        for (std::int32_t i = 0; i < 8; i += lanes) {
+            const auto x = hn::Iota(d, double(r.x0 - t.x0 + i));
+            const auto y = hn::Iota(d, double(r.y0 - t.y0 + i));
+            hn::StoreU(hn::Add(hn::Set(d, t.at), hn::Mul(hn::Set(d, t.dx), x)), d,
+                       alongX + i);
+            hn::StoreU(hn::Mul(hn::Set(d, t.dy), y), d, alongY + i);
+        }
+        const std::uint32_t stride = tile_.stride();
+        const std::uint32_t first =
+            std::uint32_t(r.y0 - top) * stride + std::uint32_t(r.x0 - left);
+        do {
+            const auto bit = std::uint32_t(std::countr_zero(covered));
+            q_[count_] = alongX[bit & 7] + alongY[bit >> 3];
+            zMin_[count_] = t.zMin;
+            zMax_[count_] = t.zMax;
+            place_[count_] = first + (bit >> 3) * stride + (bit & 7);
+            ++count_;
+            covered &= covered - 1;
+        } while (covered != 0);
+        if (count_ > kRoom) flush();
     }
-    const std::uint32_t x = std::uint32_t(r.x0 - left), y = std::uint32_t(r.y0 - top);
-    for (std::uint32_t i = 0; i < count; ++i)
-        tile.insert(x + std::uint32_t(bits[i] & 7), y + std::uint32_t(bits[i] >> 3),
-                    z[i]);
-}
+
+    void flush() {
+        computeDepths();
+        insert();
+        count_ = 0;
+    }
+
+  private:
+    static constexpr std::uint32_t kRoom = 192, kMost = 64;  // of one triangle
+
+    void computeDepths() {
+        const Doubles d;
+        const Floats df;
+        for (std::uint32_t i = 0; i < count_; i += std::uint32_t(hn::Lanes(d))) {
+            const auto zMin = hn::PromoteTo(d, hn::LoadU(df, zMin_ + i));
+            const auto zMax = hn::PromoteTo(d, hn::LoadU(df, zMax_ + i));
+            hn::StoreU(clampedDepth<kind>(hn::LoadU(d, q_ + i), zMin, zMax), df, z_ + i);
+        }
+    }
+
+    void insert() {
+        const std::uint32_t layers = tile_.layers();
+        for (std::uint32_t i = 0; i < count_; ++i) {
+            if (HWY_UNLIKELY(tile_.hasCopies())) {
+                tile_.insert(place_[i], z_[i]);
+                continue;
+            }
+            tile_.countSamples(1);
+            float z = z_[i];
+            const std::uint32_t place = place_[i];
+            if (planes_ == layers && z > plane_[layers - 1][place]) continue;
+            for (std::uint32_t k = 0; k < layers; ++k) {
+                if (HWY_UNLIKELY(k >= planes_) && !takePlane(k)) break;
+                float* const kept = plane_[k] + place;
+                const float before = *kept;
+                if (HWY_UNLIKELY(before == z)) {
+                    tile_.addCopy(k, place);
+                    break;
+                }
+                // The nearer one stays, the other moves along.
+                *kept = z < before ? z : before;
+                z = z < before ? before : z;
+                if (z == KTile::kNoSample) break;
+            }
+        }
+    }
+
+    bool takePlane(std::uint32_t k) {
+        if (k == tile_.planes() && !tile_.addPlane()) return false;
+        plane_[planes_++] = tile_.plane(k);
+        return true;
+    }
+
+    KTile& tile_;
+    std::uint32_t count_ = 0, planes_ = 0;
+    float* plane_[KBuffer::kMostLayers];
+    double q_[kRoom + kMost + 8];
+    float zMin_[kRoom + kMost + 8], zMax_[kRoom + kMost + 8], z_[kRoom + kMost + 8];
+    std::uint32_t place_[kRoom + kMost];
+};
 
 /// Any other triangle, block by block of the rows that it covers.
 template <ProjectionKind kind>
@@ -190,7 +265,7 @@ void drawLarge(const PreparedTriangle& t, PixelRect r, std::int32_t left,
             const auto at = hn::Iota(di, x);
             const auto outside =
                 hn::Or(hn::Sub(at, hn::Set(di, first)), hn::Sub(hn::Set(di, last), at));
-            insert(tile, std::uint32_t(x - left), std::uint32_t(y - top),
+            insert(tile, std::uint32_t(y - top) * tile.stride() + std::uint32_t(x - left),
                    depths.at(hn::Sub(at, hn::Set(di, t.x0)), dy),
                    hn::RebindMask(Floats(), hn::Gt(outside, hn::Set(di, -1))));
         }
@@ -205,12 +280,13 @@ void drawAll(std::span<const PreparedTriangle> triangles,
                     KTile& tile = buffer.tile(tx, ty);
                     const auto left = std::int32_t(tx << KBuffer::kTileShift);
                     const auto top = std::int32_t(ty << KBuffer::kTileShift);
+                    Samples<kind> samples(tile);
                     for (const std::uint32_t i : order) {
                         const PreparedTriangle& t = triangles[i];
                         const PixelRect r = intersect(t.pixels(), pixels);
                         if (r.empty()) continue;
                         if (t.small)
-                            drawSmall<kind>(t, r, left, top, tile);
+                            samples.add(t, r, left, top);
                         else
                             drawLarge<kind>(t, r, left, top, tile);
                     }

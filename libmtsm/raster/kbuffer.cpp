@@ -6,19 +6,16 @@
 
 namespace mtsm::raster {
 
-void KTile::insertWithCopies(std::uint32_t place, float z) {
+void KTile::insert(std::uint32_t place, float z) {
+    ++samples_;
     std::uint32_t copies = 0;  // of what is moved
     for (std::uint32_t k = 0; k < layers_ && z < kNoSample; ++k) {
         if (k == planes() && !addPlane()) return;
         float& kept = planes_[k][place];
-        std::uint32_t& keptCopies = copies_[k * planeSize() + place];
-        if (kept == z) {
-            ++keptCopies;
-            return;
-        }
+        if (kept == z) return addCopy(k, place);
         if (kept < z) continue;
         std::swap(kept, z);
-        std::swap(keptCopies, copies);
+        if (copies_) std::swap(copies_[k * planeSize() + place], copies);
     }
 }
 

@@ -37,23 +37,12 @@ class KTile {
           stride_((width + kRowAlignment - 1) / kRowAlignment * kRowAlignment),
           layers_(layers) {}
 
-    /// Adds a sample at pixel (x, y) of the tile: z finite and positive. Without effect
-    /// once the budget is exceeded.
-    void insert(std::uint32_t x, std::uint32_t y, float z) {
-        ++samples_;
-        const std::uint32_t place = y * stride_ + x;
-        if (planes() == layers_ && z > planes_.back()[place]) return;
-        if (copies_) return insertWithCopies(place, z);
-        for (std::uint32_t k = 0; k < layers_; ++k) {
-            if (k == planes() && !addPlane()) return;
-            float& kept = planes_[k][place];
-            if (kept == z) return addCopy(k, place);
-            // The nearer one stays, the other moves along.
-            const float nearer = z < kept ? z : kept, other = z < kept ? kept : z;
-            kept = nearer;
-            if (other == kNoSample) return;
-            z = other;
-        }
+    /// Adds a sample at a place of the planes: z finite and positive. Without effect once
+    /// the budget is exceeded.
+    void insert(std::uint32_t place, float z);
+    /// Where the planes hold pixel (x, y) of the tile.
+    [[nodiscard]] std::uint32_t place(std::uint32_t x, std::uint32_t y) const noexcept {
+        return y * stride_ + x;
     }
 
     [[nodiscard]] bool empty() const noexcept { return planes_.empty(); }
@@ -96,7 +85,6 @@ class KTile {
     void countSamples(std::uint64_t count) noexcept { samples_ += count; }
 
   private:
-    void insertWithCopies(std::uint32_t place, float z);
     [[nodiscard]] std::size_t planeSize() const noexcept {
         return std::size_t(stride_) * height_;
     }
@@ -111,8 +99,10 @@ class KBuffer {
   public:
     static constexpr std::uint32_t kTileShift = 6;
     static constexpr std::uint32_t kTileSize = 1u << kTileShift;
+    static constexpr std::uint32_t kMostLayers = 64;
 
-    /// `budget` must outlive the buffer. Each side 1..kMaxResolution, layers 1..64.
+    /// `budget` must outlive the buffer. Each side 1..kMaxResolution,
+    /// layers 1..kMostLayers.
     KBuffer(std::uint32_t width, std::uint32_t height, std::uint32_t layers,
             MemoryBudget& budget);
 

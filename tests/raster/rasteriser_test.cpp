@@ -54,7 +54,7 @@ std::vector<Pixel> nearest(const Projection& p, std::uint32_t side, std::uint32_
         for (std::uint32_t x = 0; x < side; ++x) {
             const KTile& tile = buffer.tile(x / 64, y / 64);
             if (tile.empty()) continue;
-            const std::uint32_t at = y % 64 * tile.stride() + x % 64;
+            const std::uint32_t at = tile.place(x % 64, y % 64);
             const std::uint32_t count = tile.count(x % 64, y % 64);
             *dropped -= count;
             for (std::uint32_t i = 0; i < count; ++i)
