@@ -110,9 +110,9 @@ class Depths {
     hn::Vec<Doubles> at_, dx_, dy_, zMin_, zMax_;
 };
 
-/// Which of the 8 x 8 pixels from where the edges stand a small triangle covers: bit
-/// 8 y + x.
-HWY_INLINE std::uint64_t coverage(const detail::Edges& edges) {
+/// Which of the pixels from where the edges stand a small triangle covers, 8 in each of
+/// so many rows: bit 8 y + x.
+HWY_INLINE std::uint64_t coverage(const detail::Edges& edges, std::int32_t rows) {
     const hn::CappedTag<std::int32_t, 8> d;
     constexpr std::int32_t kSide = 8;
     const auto lanes = std::int32_t(hn::Lanes(d));
@@ -126,7 +126,7 @@ HWY_INLINE std::uint64_t coverage(const detail::Edges& edges) {
         auto a = first(0), b = first(1), c = first(2);
         const auto stepA = hn::Set(d, edges.stepY[0]), stepB = hn::Set(d, edges.stepY[1]),
                    stepC = hn::Set(d, edges.stepY[2]);
-        for (std::int32_t y = 0; y < kSide; ++y) {
+        for (std::int32_t y = 0; y < rows; ++y) {
             const auto within = hn::Gt(hn::Or(a, hn::Or(b, c)), hn::Set(d, -1));
             std::uint8_t bits[8] = {};
             hn::StoreMaskBits(d, within, bits);
@@ -154,9 +154,8 @@ class Samples {
                         std::int32_t top) {
         const std::int32_t w = r.x1 - r.x0 + 1, h = r.y1 - r.y0 + 1;
         const std::uint64_t row = (std::uint64_t(1) << w) - 1;
-        const std::uint64_t rows = ~std::uint64_t(0) >> (64 - 8 * h);
         std::uint64_t covered =
-            coverage(detail::Edges(t, r.x0, r.y0)) & (row * 0x0101010101010101u) & rows;
+            coverage(detail::Edges(t, r.x0, r.y0), h) & (row * 0x0101010101010101u);
         if (covered == 0) return;
         // What the plane gives is computed in the order in which drawTriangle() does.
         double alongX[8], alongY[8];
@@ -213,7 +212,8 @@ class Samples {
             tile_.countSamples(1);
             float z = z_[i];
             const std::uint32_t place = place_[i];
-            if (planes_ == layers && z > plane_[layers - 1][place]) continue;
+            if (layers > 1 && planes_ == layers && z > plane_[layers - 1][place])
+                continue;
             for (std::uint32_t k = 0; k < layers; ++k) {
                 if (HWY_UNLIKELY(k >= planes_) && !takePlane(k)) break;
                 float* const kept = plane_[k] + place;
@@ -273,33 +273,33 @@ void drawLarge(const PreparedTriangle& t, PixelRect r, std::int32_t left,
 }
 
 template <ProjectionKind kind>
-void drawAll(std::span<const PreparedTriangle> triangles,
-             std::span<const std::uint32_t> order, PixelRect within, KBuffer& buffer) {
+void drawAll(std::span<const TriangleList> lists, PixelRect within, KBuffer& buffer) {
     forEachTile(within, KBuffer::kTileShift,
                 [&](std::uint32_t tx, std::uint32_t ty, PixelRect pixels) {
                     KTile& tile = buffer.tile(tx, ty);
                     const auto left = std::int32_t(tx << KBuffer::kTileShift);
                     const auto top = std::int32_t(ty << KBuffer::kTileShift);
                     Samples<kind> samples(tile);
-                    for (const std::uint32_t i : order) {
-                        const PreparedTriangle& t = triangles[i];
-                        const PixelRect r = intersect(t.pixels(), pixels);
-                        if (r.empty()) continue;
-                        if (t.small)
-                            samples.add(t, r, left, top);
-                        else
-                            drawLarge<kind>(t, r, left, top, tile);
+                    for (const TriangleList& list : lists) {
+                        for (const std::uint32_t i : list.order) {
+                            const PreparedTriangle& t = list.triangles[i];
+                            const PixelRect r = intersect(t.pixels(), pixels);
+                            if (r.empty()) continue;
+                            if (t.small)
+                                samples.add(t, r, left, top);
+                            else
+                                drawLarge<kind>(t, r, left, top, tile);
+                        }
                     }
                 });
 }
 
-void drawNearestHere(ProjectionKind kind, std::span<const PreparedTriangle> triangles,
-                     std::span<const std::uint32_t> order, PixelRect within,
-                     KBuffer& buffer) {
+void drawNearestHere(ProjectionKind kind, std::span<const TriangleList> lists,
+                     PixelRect within, KBuffer& buffer) {
     if (kind == ProjectionKind::perspective)
-        drawAll<ProjectionKind::perspective>(triangles, order, within, buffer);
+        drawAll<ProjectionKind::perspective>(lists, within, buffer);
     else
-        drawAll<ProjectionKind::orthographic>(triangles, order, within, buffer);
+        drawAll<ProjectionKind::orthographic>(lists, within, buffer);
 }
 
 }  // namespace
@@ -311,10 +311,9 @@ namespace mtsm::raster {
 
 HWY_EXPORT(drawNearestHere);
 
-void drawNearest(ProjectionKind kind, std::span<const PreparedTriangle> triangles,
-                 std::span<const std::uint32_t> order, PixelRect within,
-                 KBuffer& buffer) {
-    HWY_DYNAMIC_DISPATCH(drawNearestHere)(kind, triangles, order, within, buffer);
+void drawNearest(ProjectionKind kind, std::span<const TriangleList> lists,
+                 PixelRect within, KBuffer& buffer) {
+    HWY_DYNAMIC_DISPATCH(drawNearestHere)(kind, lists, within, buffer);
 }
 
 }  // namespace mtsm::raster

@@ -9,9 +9,15 @@
 
 namespace mtsm::raster {
 
-/// Draws triangles[i] for each i of `order` in turn, as far as it lies in `within`. The
-/// tiles of that rectangle must be this thread's alone.
-void drawNearest(ProjectionKind kind, std::span<const PreparedTriangle> triangles,
-                 std::span<const std::uint32_t> order, PixelRect within, KBuffer& buffer);
+/// Some of a list of triangles: those that `order` counts.
+struct TriangleList {
+    const PreparedTriangle* triangles = nullptr;
+    std::span<const std::uint32_t> order;
+};
+
+/// Draws the triangles of all lists, as far as they lie in `within`. The tiles of that
+/// rectangle must be this thread's alone.
+void drawNearest(ProjectionKind kind, std::span<const TriangleList> lists,
+                 PixelRect within, KBuffer& buffer);
 
 }  // namespace mtsm::raster

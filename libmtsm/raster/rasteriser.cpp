@@ -16,8 +16,9 @@ namespace mtsm::raster {
 namespace {
 
 // A slice's prepared triangles (72 bytes each) fit a core's second-level cache; a batch
-// has enough slices for the threads of a large machine.
-constexpr std::uint32_t kSliceTriangles = 4096;
+// has enough slices for the threads of a large machine, and no more than that: a small
+// bake is over before it has used memory twice.
+constexpr std::uint32_t kSliceTriangles = 2048;
 constexpr std::uint32_t kSlices = 32;
 constexpr std::uint32_t kBatchTriangles = kSlices * kSliceTriangles;
 constexpr std::uint32_t kMostBins = 4096;
@@ -126,6 +127,7 @@ void Rasteriser::prepare(const MeshView& mesh, std::size_t first, std::uint32_t 
         Slice& slice = slices_[s];
         const std::uint32_t from = std::max(pending_, s * kSliceTriangles);
         const std::uint32_t to = std::min(end, (s + 1) * kSliceTriangles);
+        slice.triangles.reserve(kSliceTriangles);
         slice.surfaces.push_back(surfaceOf(mesh, grid_ ? grid_->channels() : 1));
         for (std::uint32_t i = from; i < to; ++i) {
             const std::size_t corner = 3 * std::size_t(i - pending_);
@@ -154,16 +156,20 @@ void Rasteriser::drawBin(std::uint32_t bin) const {
     const PixelRect pixels = intersect(
         {x * side, y * side, (x + 1) * side - 1, (y + 1) * side - 1}, wantedPixels());
     if (pixels.empty()) return;
+    if (buffer_) {
+        std::array<TriangleList, kSlices> lists;
+        for (std::uint32_t i = 0; i < kSlices; ++i) {
+            const Slice& slice = slices_[i];
+            if (slice.taken == 0) continue;
+            const std::uint32_t first = slice.begin[bin], end = slice.begin[bin + 1];
+            lists[i] = {slice.triangles.data(),
+                        {slice.order.data() + first, end - first}};
+        }
+        return drawNearest(projection_.kind, lists, pixels, *buffer_);
+    }
     const bool perspective = projection_.kind == ProjectionKind::perspective;
     for (const Slice& slice : slices_) {
         if (slice.taken == 0) continue;
-        if (buffer_) {
-            const std::span<const std::uint32_t> order(
-                slice.order.data() + slice.begin[bin],
-                slice.begin[bin + 1] - slice.begin[bin]);
-            drawNearest(projection_.kind, slice.triangles, order, pixels, *buffer_);
-            continue;
-        }
         for (std::uint32_t i = slice.begin[bin]; i < slice.begin[bin + 1]; ++i) {
             const PreparedTriangle& t = slice.triangles[slice.order[i]];
             const Surface& surface = slice.surfaces[t.surface];
