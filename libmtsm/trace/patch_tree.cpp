@@ -321,6 +321,10 @@ class TilePieces {
                 if (!inside.empty()) quarters.push_back(emit(inside, part, likely, made));
             }
             if (quarters.size() == 1) return quarters[0];
+            for (const Node& quarter : quarters) {  // they may be steeper
+                node.low = std::min(node.low, quarter.low);
+                node.high = std::max(node.high, quarter.high);
+            }
             const PatchTree::Entry children =
                 append(made.groups, quarters.size(),
                        [&](std::size_t i) -> const Node& { return quarters[i]; });
