@@ -180,8 +180,8 @@ class Checker {
             expect(c.level[k] == g.level[i] || c.level[k] + 1 == g.level[i],
                    "a level at a time");
             expect(c.low[k] >= g.low[i] && c.high[k] <= g.high[i], "depths of children");
-            expect(std::abs(c.u[k] - g.u[i]) + c.halfU[k] <= g.halfU[i] &&
-                       std::abs(c.v[k] - g.v[i]) + c.halfV[k] <= g.halfV[i],
+            expect(std::abs(c.u[k] - g.u[i]) + c.halfU[k] <= g.halfU[i] + 1e-4f &&
+                       std::abs(c.v[k] - g.v[i]) + c.halfV[k] <= g.halfV[i] + 1e-4f,
                    "boxes of children");
         });
         expect(!samples.empty(), "no patch without samples");
@@ -194,9 +194,17 @@ class Checker {
             const double away = std::abs(planeAt(g, i, s.x + 0.5, s.y + 0.5) - s.w);
             expect(away <= g.residual[i] + slack(g, i), "distances from the plane");
         }
-        expect(u0 == g.u[i] - g.halfU[i] && u1 == g.u[i] + g.halfU[i] &&
-                   v0 == g.v[i] - g.halfV[i] && v1 == g.v[i] + g.halfV[i],
-               "the box is that of the pixels");
+        const float texel = g.texel[i] > 0.0f ? g.texel[i] : 1.0f;
+        const auto isEdge = [texel](float at, float box, bool high) {
+            const float edge =
+                texel * (high ? std::ceil(at / texel) : std::floor(at / texel));
+            return std::abs(edge - box) < 1.0f / 256;  // bounds are a little larger
+        };
+        expect(isEdge(u0, g.u[i] - g.halfU[i], false) &&
+                   isEdge(u1, g.u[i] + g.halfU[i], true) &&
+                   isEdge(v0, g.v[i] - g.halfV[i], false) &&
+                   isEdge(v1, g.v[i] + g.halfV[i], true),
+               "the box is that of the texels");
         if (g.sheet[i])
             expect(pixels.size() == std::size_t((u1 - u0) * (v1 - v0)),
                    "a sheet fills its box");
@@ -255,6 +263,14 @@ class Checker {
         for (std::uint32_t p = 0; p < 256; ++p) {
             const int count = counts[p], full = int(texel * texel);
             anyPart = anyPart || (count > 0 && count < full);
+            const double half = 0.5 * texel;
+            const double over =
+                planeAt(g, i, cornerOf(g.u[i], g.level[i]) + p % 16 * texel + half,
+                        cornerOf(g.v[i], g.level[i]) + p / 16 * texel + half);
+            const double reach =
+                half * (std::abs(g.gradientU[i]) + std::abs(g.gradientV[i]));
+            expect(count == 0 || (over - reach >= g.low[i] && over + reach <= g.high[i]),
+                   "depths of the plane");
             if (!g.shared[i]) {
                 expect(bitOf(coverOf(patch)[0], p % 16, p / 16) == (count == full),
                        "covered texels");
