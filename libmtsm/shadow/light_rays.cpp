@@ -152,23 +152,57 @@ class Starts {
         }
     };
 
+    /// The box around a piece of a cap (light::sampleCap): a point at distance r from the
+    /// disk's centre is sqrt(h (2 - r^2 h)) times as far from the axis and r^2 h below
+    /// the summit, h being the cap's height.
+    void capBounds(const LightRays::Piece& piece, Vec& lowX, Vec& highX, Vec& lowY,
+                   Vec& highY, Vec (&heights)[2]) const {
+        const auto nearest = [](float low, float high) {
+            return std::max(0.0f, std::max(low, -high));
+        };
+        const auto furthest = [](float low, float high) { return std::max(-low, high); };
+        const auto square = [](float x, float y) {
+            return constant(std::min(1.0f, x * x + y * y));
+        };
+        const Vec r2[2] = {
+            square(nearest(piece.lowA, piece.highA), nearest(piece.lowB, piece.highB)),
+            square(furthest(piece.lowA, piece.highA), furthest(piece.lowB, piece.highB))};
+        Vec scales[2];
+        for (int i = 0; i < 2; ++i) {
+            heights[i] = hn::Mul(r2[i], capHeight_);
+            const Vec left = hn::Sub(constant(2.0f), heights[i]);
+            scales[i] = hn::Sqrt(hn::Max(hn::Zero(kF), hn::Mul(capHeight_, left)));
+        }
+        // Nothing is further from the axis than the rim, or the sphere's equator.
+        const Vec h = hn::Min(capHeight_, constant(1.0f));
+        const Vec rim = hn::Sqrt(hn::Mul(h, hn::Sub(constant(2.0f), h)));
+        const auto bound = [&](Vec& low, Vec& high) {
+            const Vec zero = hn::Zero(kF);
+            low = hn::Mul(low, hn::IfThenElse(hn::Lt(low, zero), scales[0], scales[1]));
+            high =
+                hn::Mul(high, hn::IfThenElse(hn::Lt(high, zero), scales[1], scales[0]));
+            low = hn::Max(low, hn::Neg(rim));
+            high = hn::Min(high, rim);
+        };
+        bound(lowX, highX);
+        bound(lowY, highY);
+    }
+
     /// Adds those of rays to a piece of the light, corners included: (a, b) from low to
     /// high, of the light's square or of the square around its disk.
     void addSlopes(const LightRays::Piece& piece, Slopes& slopes) const {
-        // A cap lies between the plane of its rim and its summit.
+        Vec lowX = constant(piece.lowA), highX = constant(piece.highA);
+        Vec lowY = constant(piece.lowB), highY = constant(piece.highB);
         const bool cap = in_.domain == light::LightView::Domain::cap;
-        Vec reach = constant(1.0f);
-        if (cap)
-            reach = hn::Sqrt(hn::Max(
-                hn::Zero(kF), hn::Mul(capHeight_, hn::Sub(constant(2.0f), capHeight_))));
+        Vec heights[2];  // of a cap: from its summit down
+        if (cap) capBounds(piece, lowX, highX, lowY, highY, heights);
         for (int plane = 0; plane < (cap ? 2 : 1); ++plane) {
-            const Vec height = plane == 0 ? capHeight_ : hn::Zero(kF);
             const Vec3 middle =
-                cap ? along(base_, hn::Sub(constant(1.0f), height), axisZ_) : base_;
-            for (const float a : {piece.lowA, piece.highA}) {
-                for (const float b : {piece.lowB, piece.highB}) {
-                    const Vec3 side = along(middle, hn::Mul(reach, constant(a)), axisX_);
-                    const Vec3 end = along(side, hn::Mul(reach, constant(b)), axisY_);
+                cap ? along(base_, hn::Sub(constant(1.0f), heights[plane]), axisZ_)
+                    : base_;
+            for (const Vec x : {lowX, highX}) {
+                for (const Vec y : {lowY, highY}) {
+                    const Vec3 end = along(along(middle, x, axisX_), y, axisY_);
                     slopes.towardsEye =
                         hn::And(slopes.towardsEye, hn::Lt(end.z, hn::Zero(kF)));
                     const Pair at = slope(end);
