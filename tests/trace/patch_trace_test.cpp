@@ -269,7 +269,7 @@ TEST_CASE(
         const PatchTree tree = treeOf(wall.map());
         for (const double dense : {2.0, 4.0, 8.0}) {
             Disagreement found;
-            for (int i = 0; i < 150; ++i) {
+            for (int i = 0; i < 50; ++i) {
                 Rays rays = raysUp(random, 16, 2);
                 // So far apart where they meet the wall's middle.
                 setCoarseness(rays, dense / 0.2, 20);
