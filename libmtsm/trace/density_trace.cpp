@@ -296,8 +296,10 @@ void Kernel::setUp(const RayBundle& bundle, int row) {
                    dw = hn::Load(d, bundle.dw[row] + i);
         auto begin = hn::Load(d, bundle.begin[row] + i);
         auto beginSurfaces = hn::Load(d, bundle.beginSurfaces[row] + i);
+        // At s = 1. What closes a tilted sheet darkens it the more the larger texels are.
+        const float part = sheets_ ? 0.5f : 1.0f;
         const auto texel =
-            hn::Mul(hn::Set(d, bundle.spread[receiver]), hn::Abs(dw));  // at s = 1
+            hn::Mul(hn::Set(d, part * bundle.spread[receiver]), hn::Abs(dw));
         auto open = maskOf(d, std::uint32_t(bundle.open[row]) >> i);
         const auto check = [&](auto x) {
             open = hn::And(open, hn::Lt(hn::Abs(x), most));  // false for NaN

@@ -802,7 +802,7 @@ class Casters(ToolTest):
         self.assertGreater(j["peakMemory"], 1 << 20)
         for word in ("tolerance 0, reached 0", "in 1 pass", "dropped nothing", "of memory"):
             self.assertIn(word, done.stderr)
-        row, = csv.DictReader(io.StringIO(run("query", "a.mtsm", "--point", "0,0,0").stdout))
+        row, = csv.DictReader(io.StringIO(run("query", "a.mtsm", "--point", "0,0,0", "--method", "scalar").stdout))
         self.assertAlmostEqual(float(row["shadow"]), 1 - 0.5 ** 4, places=5)
         row, = csv.DictReader(io.StringIO(run("query", "a.mtsm", "--point", "0,0,0", "--attenuation",
                                               "subtract").stdout))
@@ -863,7 +863,9 @@ class Bake(ToolTest):
         done = self.good(self.bake(*LIGHT, "--near-field", "auto", "--opacity", 0.5))
         self.assertIn("no near field: only casters", done.stderr)
         self.assertNotIn("warning", done.stderr)
-        done = self.good(self.bake(*LIGHT))
+        done = self.good(self.bake(*LIGHT))  # auto
+        self.assertIn("near field: 4 triangles", done.stderr)
+        done = self.good(self.bake(*LIGHT, "--near-field", "none"))
         self.assertNotIn("near field", done.stderr)
         self.assertEqual(json.loads(run("dump", "a.mtsm", "--json").stdout)["nearField"]["chunks"], 0)
         for wrong in ("0", "lots", "-1", "auto "):
@@ -1278,7 +1280,9 @@ class Dump(ToolTest):
         j = json.loads(self.good(run("dump", "half.mtsm", "--pixel", "64,64", "--json")).stdout)
         self.assertEqual([(l["v"], l["reset"]) for l in j["layers"]], [([0.5], False)])
         done = self.good(run("query", "half.mtsm", "--point", "0,0,0", "--json"))
-        # Every ray crosses the quad once, whatever the bias.
+        # Every ray crosses the quad once, whatever the bias; the fast trace keeps its depth to 1/2048.
+        self.assertAlmostEqual(json.loads(done.stdout)["values"][0]["shadow"], 0.5, delta=3e-4)
+        done = self.good(run("query", "half.mtsm", "--point", "0,0,0", "--json", "--method", "scalar"))
         self.assertAlmostEqual(json.loads(done.stdout)["values"][0]["shadow"], 0.5, delta=1e-6)
 
     def test_a_plot_is_svg(self):

@@ -120,7 +120,7 @@ class Help(Compare):
         text = self.good(run("compare", "--list-methods")).stdout
         self.assertRegex(text, r"(?m)^mtsm: .*\[Xie07\]$")
         self.assertRegex(text, r"(?m)^  resolution = 1024  \(1 to 32768\)  pixels")
-        self.assertRegex(text, r"(?m)^  lookup = trace  \(trace, pcf\)")
+        self.assertRegex(text, r"(?m)^  lookup = trace  \(trace, scalar, pcf\)")
 
 
 class CommandLine(Compare):
