@@ -554,17 +554,20 @@ std::uint64_t placeOf(glm::dvec2 u) {
     return place;
 }
 
-/// The first points of a sequence, neighbours close to each other.
+/// The first points of a sequence, neighbours close to each other; of the first `probe`
+/// and of the others.
 std::vector<glm::dvec2> pattern(std::uint32_t number, std::uint32_t seed,
-                                std::uint32_t samples) {
+                                std::uint32_t samples, std::uint32_t probe) {
     const base::SquareSequence sequence(base::mix(std::uint64_t(seed) << 32 | number));
     std::vector<std::pair<std::uint64_t, glm::dvec2>> order;
     for (std::uint32_t i = 0; i < samples; ++i) {
         const glm::dvec2 u = samples == 1 ? glm::dvec2(0.5) : sequence(i);
         order.emplace_back(placeOf(u), u);
     }
-    std::sort(order.begin(), order.end(),
-              [](const auto& a, const auto& b) { return a.first < b.first; });
+    const auto byPlace = [](const auto& a, const auto& b) { return a.first < b.first; };
+    const auto others = order.begin() + std::min(probe, samples);
+    std::sort(order.begin(), others, byPlace);
+    std::sort(others, order.end(), byPlace);
     std::vector<glm::dvec2> points;
     for (const auto& [place, u] : order)
         points.push_back(u);
@@ -580,7 +583,9 @@ LightRays::Points makePoints(const LightRays::Setting& setting,
     points.groups.assign(points.each / trace::kLanes, none);
     for (std::uint32_t p = 0; p < points.patterns; ++p) {
         const std::uint32_t number = setting.onlyKey ? *setting.onlyKey % kPatterns : p;
-        for (const glm::dvec2 u : pattern(number, setting.seed, setting.samples)) {
+        for (const glm::dvec2 u :
+             pattern(number, setting.seed, setting.samples,
+                     setting.probe ? std::uint32_t(trace::kLanes) : 0u)) {
             const glm::dvec2 at = domain == light::LightView::Domain::square
                                       ? 2.0 * u - 1.0
                                       : light::sampleDisk(u);

@@ -81,6 +81,7 @@ std::string mapLines(const Json& run, const Json& light, const std::string& inpu
         query += " --normal-pass " +
                  quotedForShell(normalPass.empty() ? "shot.N.exr" : normalPass);
     query += " --samples " + numberText(s["samples"]);
+    if (s["adaptive"] == "true") query += " --adaptive";
     if (s["query-bias"] >= 0.0) query += " --bias " + numberText(s["query-bias"]);
     if (s["lookup"] != "trace") query += " --method " + s["lookup"].get<std::string>();
     if (s["attenuation"] == "subtract") query += " --attenuation subtract";

@@ -68,6 +68,10 @@ struct ShadowOptions {
     ShadowMethod method = ShadowMethod::trace;
     Weight weight = Weight::uniform;  ///< cosine needs normals
     Attenuation attenuation = Attenuation::multiply;
+    /// Points of which the first 16 samples see the same take no more: most are lit or
+    /// dark. Only of ShadowMethod::trace; half-shadows thinner than a 16th of the light
+    /// may be missed.
+    bool adaptive = false;
 };
 
 inline constexpr int kMaxSamples = 4096;
