@@ -8,10 +8,15 @@ namespace {
 
 class MtsmMethod final : public Method {
   public:
-    explicit MtsmMethod(ShadowMap map) : map_(std::move(map)) {}
+    /// `traced`: by ShadowMethod::trace, which needs more than the map. It is made here,
+    /// so that it counts as part of the build.
+    MtsmMethod(ShadowMap map, bool traced) : map_(std::move(map)) {
+        if (traced) prepareQueries(map_);
+        memoryBytes_ = traced ? queryMemoryBytes(map_) : map_.memoryBytes();
+    }
 
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept override {
-        return map_.memoryBytes();
+        return memoryBytes_;
     }
     Status shadowFactors(const AreaLight& light, const Receivers& at,
                          const Settings& settings, float* out) const override {
@@ -33,6 +38,7 @@ class MtsmMethod final : public Method {
 
   private:
     ShadowMap map_;
+    std::uint64_t memoryBytes_ = 0;
 };
 
 Result<std::unique_ptr<Method>> build(const MethodScene& scene,
@@ -46,7 +52,8 @@ Result<std::unique_ptr<Method>> build(const MethodScene& scene,
     options.nearField = settings.word("near") == "auto" ? kAutomaticNearField : 0;
     auto baked = bake(scene.casters, options);
     if (!baked) return baked.error();
-    return std::unique_ptr<Method>(new MtsmMethod(std::move(baked->map)));
+    return std::unique_ptr<Method>(
+        new MtsmMethod(std::move(baked->map), settings.word("lookup") == "trace"));
 }
 
 }  // namespace
@@ -76,7 +83,8 @@ MethodInfo mtsmMethod() {
         wordSetting("adaptive", {"false", "true"},
                     "no more than 16 rays where those see the same"),
         wordSetting("lookup", {"trace", "scalar", "pcf"},
-                    "traced, traced ray by ray, or filtered as small lights may"),
+                    "traced, traced ray by ray, or filtered as small lights may",
+                    SettingUse::build),
         wordSetting("attenuation", {"multiply", "subtract"}, "how samples add up"),
     };
     info.build = build;

@@ -12,6 +12,8 @@
 #include "shadow/bundle_query.h"
 #include "shadow/query.h"
 #include "shadow/receiver_order.h"
+#include "trace/density_tree.h"
+#include "trace/patch_tree.h"
 
 namespace mtsm {
 namespace {
@@ -150,6 +152,23 @@ void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* p
 }
 
 }  // namespace
+
+void prepareQueries(const ShadowMap& map) noexcept {
+    if (!shadow::BundleQuery::serves(map, {})) return;
+    if (map.isOpaque())
+        (void)trace::patchTrees(map);
+    else
+        (void)trace::densityTree(map);
+}
+
+std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept {
+    std::uint64_t bytes = map.memoryBytes();
+    if (!shadow::BundleQuery::serves(map, {})) return bytes;
+    if (!map.isOpaque()) return bytes + trace::densityTree(map)->memoryBytes();
+    for (const trace::PatchTree& tree : trace::patchTrees(map))
+        bytes += tree.memoryBytes();
+    return bytes;
+}
 
 Status checkQuery(const ShadowMap& map, const AreaLight& light,
                   const ShadowOptions& options) {

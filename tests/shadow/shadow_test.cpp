@@ -9,10 +9,14 @@
 #include <cstring>
 #include <glm/geometric.hpp>
 #include <glm/gtc/constants.hpp>
+#include <optional>
 #include <random>
 
+#include "base/lazy.h"
 #include "map_fixture.h"
 #include "mtsm/shadow.h"
+#include "trace/density_tree.h"
+#include "trace/patch_tree.h"
 
 using namespace mtsm;
 using test::mapOf;
@@ -314,6 +318,64 @@ TEST_CASE("a batch equals its single queries whatever the threads", "[shadow]") 
         CHECK(stats.notFinite == 1);
         CHECK(stats.behindLight == 1);
         CHECK(stats.rays > 0);
+    }
+}
+
+TEST_CASE("what queries need is made once, beforehand or by the first of them",
+          "[shadow]") {
+    const auto notAgain = [](const auto& nothing) {
+        return [&] {
+            FAIL_CHECK("made again");
+            return nothing;
+        };
+    };
+    SECTION("an opaque map's patches") {
+        test::NoisySpec spec;
+        spec.opaque = true;
+        spec.width = spec.height = 64;
+        spec.emptyTiles = 0.0;
+        const ShadowMap prepared = test::noisyMap(spec), other = test::noisyMap(spec);
+        REQUIRE(prepared.isOpaque());
+        prepareQueries(prepared);
+        const std::vector<trace::PatchTree> none;
+        const auto& trees =
+            prepared.queryData().get<std::vector<trace::PatchTree>>(notAgain(none));
+        REQUIRE(trees.size() == 1);
+        CHECK(queryMemoryBytes(prepared) ==
+              prepared.memoryBytes() + trees[0].memoryBytes());
+        // A plane of coverage per tile of 16 x 16 pixels at least.
+        CHECK(trees[0].memoryBytes() >= 16 * sizeof(trace::CoverPlane));
+        CHECK(queryMemoryBytes(other) == queryMemoryBytes(prepared));
+        std::vector<float> dark[2];
+        for (const ShadowMap* map : {&prepared, &other}) {
+            std::vector<float>& out = dark[map == &other];
+            for (double x = -2; x < 2; x += 0.25)
+                out.push_back(shadowFactor(*map, map->info().light, receiver(x)));
+        }
+        CHECK(dark[0] == dark[1]);
+    }
+    SECTION("a transparent map's densities") {
+        const AreaLight light = lightOf(LightShape::disk, 0.3);
+        const ShadowMap map = mapWith(
+            light, 64, [](glm::dvec2 q) { return q.x < 0; }, 0.5f);
+        prepareQueries(map);
+        const std::optional<trace::DensityTree> none;
+        const auto& tree =
+            map.queryData().get<std::optional<trace::DensityTree>>(notAgain(none));
+        REQUIRE(tree);
+        CHECK(queryMemoryBytes(map) == map.memoryBytes() + tree->memoryBytes());
+        CHECK(tree->memoryBytes() > 0);
+    }
+    SECTION("nothing for an empty map, nor for six faces, which are traced ray by ray") {
+        const ShadowMap empty =
+            mapWith(lightOf(LightShape::disk, 0.3), 64, [](glm::dvec2) { return false; });
+        prepareQueries(empty);
+        CHECK(queryMemoryBytes(empty) == empty.memoryBytes());
+        test::NoisySpec spec;
+        spec.faces = 6;
+        const ShadowMap cube = test::noisyMap(spec);
+        prepareQueries(cube);
+        CHECK(queryMemoryBytes(cube) == cube.memoryBytes());
     }
 }
 

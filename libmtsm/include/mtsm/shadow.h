@@ -81,6 +81,15 @@ inline constexpr int kMaxSamples = 4096;
 Status checkQuery(const ShadowMap& map, const AreaLight& light,
                   const ShadowOptions& options);
 
+/// Makes what queries by `trace` go through besides the map's own layers, in the caller's
+/// oneTBB arena; otherwise the first query does, and takes longer for it. It lasts as
+/// long as the map and serves its copies as well.
+void prepareQueries(const ShadowMap& map) noexcept;
+
+/// What the map takes while it is queried by `trace`: its own memoryBytes() and what
+/// prepareQueries makes, which is made if need be.
+[[nodiscard]] std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept;
+
 /// What batches met: each adds to what is there.
 struct QueryStats {
     std::uint64_t points = 0, rays = 0;
