@@ -689,27 +689,28 @@ class File:
     # S 6.2
     def read_plane_record(self, c, kind, elements):
         what = "%s, plane %d.%d" % ((c.what,) + kind)
-        has_kind, channel, encoding, filtering, size = c.fields("5B")
-        c.zeros(3)
+        has_kind, channel, encoding, filtering, size, shift = c.fields("6B")
+        c.zeros(2)
         constant = c.fields("I")
         c.zeros(4)
         stored, decoded = c.fields("QQ")
         need((has_kind, channel) == kind, "%s: is announced as another" % what)
         need(size in ((4,) if kind[0] in (1, 2) else (1, 2, 4)), "%s: element size" % what)
         need(decoded == elements * size, "%s: decoded length %d" % (what, decoded))
-        need(encoding <= 2 and filtering <= 2, "%s: unknown encoding or filter" % what)
+        need(encoding <= 2 and filtering <= 3, "%s: unknown encoding or filter" % what)
         need(encoding == 2 or filtering == 0, "%s: filter without compression" % what)
         need(filtering != 1 or size > 1, "%s: shuffle of single bytes" % what)
-        need(filtering != 2 or kind[0] in (1, 2), "%s: gradient of integers" % what)
+        need(filtering < 2 or kind[0] in (1, 2), "%s: differences of integers" % what)
+        need(shift <= (31 if filtering >= 2 else 0), "%s: shift %d" % (what, shift))
         need(encoding == 1 or constant == 0, "%s: a constant without use" % what)
         need(constant >> 8 * size == 0, "%s: the constant does not fit" % what)
         need((stored == decoded, stored == 0, stored < decoded)[encoding],
              "%s: stored length %d" % (what, stored))
-        return encoding, filtering, size, constant, stored, decoded
+        return encoding, filtering, size, shift, constant, stored, decoded
 
     # S 6.3, 6.4
     def read_plane(self, c, kind, record, begin, w):
-        encoding, filtering, size, constant, stored, decoded = record
+        encoding, filtering, size, shift, constant, stored, decoded = record
         what = "%s, plane %d.%d" % ((c.what,) + kind)
         data, n = c.bytes(stored), decoded // size
         if encoding == 1:
@@ -723,14 +724,15 @@ class File:
             if filtering:
                 data = bytes(data[j * n + i] for i in range(n) for j in range(size))
             elements = list(struct.unpack("<%d%s" % (n, {1: "B", 2: "H", 4: "I"}[size]), data))
-        if filtering == 2:
-            self.undo_gradient(elements, begin, w)
+        if filtering >= 2:
+            self.add_guesses(elements, begin, w, filtering == 3)
+            elements = [b << shift & 0xFFFFFFFF for b in elements]
         if kind[0] in (1, 2):
             elements = struct.unpack("<%df" % n, struct.pack("<%dI" % n, *elements))
         return elements
 
     @staticmethod
-    def undo_gradient(elements, begin, w):
+    def add_guesses(elements, begin, w, delta):
         def layer(x, y, k):
             """Bits of layer k of a pixel, None if there is none."""
             if x < 0 or y < 0:
@@ -742,7 +744,9 @@ class File:
             x, y = p % w, p // w
             for k in range(begin[p + 1] - begin[p]):
                 left, above, corner = layer(x - 1, y, k), layer(x, y - 1, k), layer(x - 1, y - 1, k)
-                if None not in (left, above, corner):
+                if delta and k > 0:
+                    guess = elements[begin[p] + k - 1]
+                elif None not in (left, above, corner):
                     guess = left + above - corner
                 elif left is not None:
                     guess = left

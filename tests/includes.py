@@ -35,7 +35,7 @@ HEAVY = {
     "Imath": {"io"},
     "png.h": {"io"},
     "embree3": {"baseline"},
-    "hwy": {"shadow", "trace"},
+    "hwy": {"format", "raster", "shadow", "trace"},
     "zstd": {"format"},
     "xxhash": {"base"},
     "CLI": set(),

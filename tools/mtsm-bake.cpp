@@ -87,8 +87,8 @@ struct Arguments {
     PlacementOptions placement;
     std::string resolution = "1024";
     std::int64_t layers = 0, subsamples = 1;  // layers 0: not given
-    std::string resets = "all", nearField = "none";
-    std::optional<double> bias, tolerance, opacity;
+    std::string resets = "all", nearField = "auto";
+    std::optional<double> bias, tolerance, rounding, opacity;
     std::optional<double> hairWidth, hairTipWidth, hairOpacity, hairScale, densityScale;
     std::string densityGrid;
     std::optional<std::size_t> codec;
@@ -202,8 +202,14 @@ void addLayerOptions(CLI::App& app, Arguments& a) {
     addChecked(app, "--near-field", a.nearField, "auto|none|SIZE", parseNearField,
                "keep the triangles themselves as well, for exact\n"
                "shadows next to what casts them, if they take at\n"
-               "most SIZE in memory: 32M; auto: 64M (default: none);\n"
+               "most SIZE in memory: 32M; auto: 64M (default: auto);\n"
                "only of casters that are all opaque triangles")
+        ->group(group);
+    addNumber(app, "--rounding", a.rounding, {0.0, 1.0}, "S",
+              "depths may be off by this share of the z threshold,\n"
+              "visibilities by this share of --tolerance, for a\n"
+              "smaller file; 0 keeps every bit (default: 1/64, or\n"
+              "0 with --tolerance 0)")
         ->group(group);
 }
 
@@ -425,6 +431,7 @@ BakeOptions bakeOptions(const Arguments& a, const CLI::App& app, const Input& in
                          "\", but the faces of --projection cube are square");
     if (a.layers) bake.layers = std::uint32_t(a.layers);
     if (a.tolerance) bake.tolerance = float(*a.tolerance);
+    if (a.rounding) bake.rounding = float(*a.rounding);
     bake.subsamples = std::uint32_t(a.subsamples);
     bake.color = a.color;
     bake.keepHidden = a.keepHidden;

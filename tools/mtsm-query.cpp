@@ -72,6 +72,7 @@ struct Arguments {
     bool noNormal = false;
     std::string output;
     std::int64_t samples = 64, seed = 0, threads = 0;
+    bool adaptive = false;
     std::optional<double> bias, threshold;
     LightOptions light;
     std::optional<std::size_t> method, quantity, weight, attenuation;
@@ -162,9 +163,14 @@ void addOptions(CLI::App& app, Arguments& a) {
               "a ray with less visibility left is dark, 0 to\n"
               "below 1 (default: 1/1024)")
         ->group("Query");
-    addChoice(app, "--method", a.method, {"trace", "pcf"},
-              "rays through the map, or percentage-closer\n"
-              "filtering for small lights (default: trace)")
+    app.add_flag("--adaptive", a.adaptive,
+                 "points of which the first 16 samples see the same\n"
+                 "take no more; with --method trace")
+        ->group("Query");
+    addChoice(app, "--method", a.method, {"trace", "scalar", "pcf"},
+              "rays through the map; the same ray by ray, as the\n"
+              "paper does, slow; or percentage-closer filtering,\n"
+              "for small lights (default: trace)")
         ->group("Query");
     addChoice(app, "--weight", a.weight, {"uniform", "cosine"},
               "plain mean over the light, or the ratio of\n"
@@ -220,7 +226,7 @@ void checkArguments(const Arguments& a, const CLI::App& app, Kind kind) {
     only("--size", kind == Kind::plane, "--plane");
     only("--no-normal", kind == Kind::plane, "--plane");
     for (const char* option :
-         {"--samples", "--seed", "--method", "--weight", "--light-shape",
+         {"--samples", "--seed", "--adaptive", "--method", "--weight", "--light-shape",
           "--light-position", "--light-radius", "--light-size", "--light-angle"})
         only(option, kind != Kind::rays, "points; a ray needs no light");
     if (kind == Kind::plane && a.size.empty())
@@ -623,10 +629,11 @@ void runPoints(const Arguments& a, Kind kind, const ShadowMap& map, Talk& talk) 
     applyLightOptions(a.light, light);
     ShadowOptions options;
     options.samples = int(a.samples);
+    options.adaptive = a.adaptive;
     options.seed = std::uint32_t(a.seed);
     if (a.bias) options.bias = float(*a.bias);
     if (a.threshold) options.threshold = float(*a.threshold);
-    options.method = a.method.value_or(0) == 1 ? ShadowMethod::pcf : ShadowMethod::trace;
+    options.method = ShadowMethod(a.method.value_or(0));
     options.weight = a.weight.value_or(0) == 1 ? Weight::cosine : Weight::uniform;
     options.attenuation = attenuation(a);
     unwrap(checkQuery(map, light, options));

@@ -14,6 +14,7 @@
 #include "base/message.h"
 #include "base/utf8.h"
 #include "compress/hidden.h"
+#include "compress/rounding.h"
 #include "raster/kbuffer.h"
 
 namespace mtsm {
@@ -32,7 +33,8 @@ using base::makeError;
 constexpr double kBiasFootprints = 1.0;
 /// Layers of opaque casters unless asked otherwise [Xie07, sec. 7].
 constexpr std::uint32_t kOpaqueLayers = 5;
-constexpr std::uint32_t kMostNearest = 64;  ///< layers that a k-buffer holds
+constexpr float kRounding = 1.0f / 64.0f;  ///< measured: tests/bench/NOTES.md
+constexpr std::uint32_t kMostNearest = raster::KBuffer::kMostLayers;
 constexpr std::uint32_t kTileSize = raster::KBuffer::kTileSize;
 
 /// Bytes that a face needs whatever the casters are: tiles, and the map's hierarchy.
@@ -147,11 +149,14 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
     settings.channels = options.color ? 3 : 1;
     const bool surfaces = !kinds->translucent && options.subsamples == 1;
     settings.layers = options.layers.value_or(surfaces ? kOpaqueLayers : 0);
+    settings.rounding =
+        options.rounding.value_or(options.tolerance > 0.0f ? kRounding : 0.0f);
     settings.bytesLeft = options.maxBytes - fixed;
     const bool nearest = surfaces && settings.layers <= kMostNearest;
     MapInfo info = describe(options, *placed, *kinds, settings);
     BakeReport report;
     std::vector<MapFace> faces;
+    float roundingError = 0.0f;  // of a visibility
     for (const Projection& projection : placed->projections) {
         auto face = nearest ? bake_detail::bakeNearest(visits, projection, settings)
                             : bake_detail::bakeSamples(visits, projection, settings);
@@ -166,6 +171,8 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
                 return s.error();
             report.droppedHidden = compress::dropHidden(info, faces[0]).layers;
         }
+        roundingError = std::max(
+            roundingError, compress::roundLayers(info, settings.rounding, faces.back()));
         std::uint64_t bytes = 0;
         for (const Tile& tile : faces.back().tiles)
             bytes += bake_detail::bytesOf(tile);
@@ -179,6 +186,11 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
     report.readSeconds = visits.readSeconds();
     if (report.droppedHidden > 0)
         info.attributes.push_back({"hiddenLayers", std::int64_t(report.droppedHidden)});
+    if (settings.rounding > 0.0f)
+        info.attributes.push_back({"rounding", std::vector<double>{settings.rounding}});
+    if (info.toleranceReached <= info.toleranceAsked)  // unless the cap took more
+        info.toleranceReached =
+            std::min(info.toleranceReached + roundingError, info.toleranceAsked);
     auto map = ShadowMap::create(std::move(info), std::move(faces));
     if (!map) return map.error();
     return Baked{*std::move(map), report};

@@ -26,6 +26,7 @@ struct FaceSettings {
     std::uint64_t triangles = 0;  ///< that the casters have; 0: not known
     std::uint32_t channels = 1;
     std::uint32_t layers = 0;     ///< cap; 0: none
+    float rounding = 0.0f;        ///< what BakeOptions::rounding comes to
     std::uint64_t bytesLeft = 0;  ///< for samples and layers
 };
 

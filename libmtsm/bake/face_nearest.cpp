@@ -15,11 +15,26 @@ Tile layersOf(const KTile& tile) {
     Tile t;
     if (tile.empty()) return t;
     t.begin.resize(tile.pixels() + 1);
+    std::uint32_t* count = t.begin.data() + 1;
+    for (std::uint32_t y = 0; y < tile.height(); ++y, count += tile.width()) {
+        for (std::uint32_t k = 0; k < tile.planes(); ++k) {
+            const float* const row = tile.plane(k) + std::size_t(y) * tile.stride();
+            for (std::uint32_t x = 0; x < tile.width(); ++x)
+                count[x] += row[x] < KTile::kNoSample;
+        }
+    }
     for (std::uint32_t p = 0; p < tile.pixels(); ++p)
-        t.begin[p + 1] = t.begin[p] + tile.count(p);
-    t.z.reserve(t.begin.back());
-    for (std::uint32_t p = 0; p < tile.pixels(); ++p)
-        t.z.insert(t.z.end(), tile.z(p), tile.z(p) + tile.count(p));
+        t.begin[p + 1] += t.begin[p];
+    t.z.resize(t.begin.back());
+    const std::uint32_t* begin = t.begin.data();
+    for (std::uint32_t y = 0; y < tile.height(); ++y, begin += tile.width()) {
+        for (std::uint32_t k = 0; k < tile.planes(); ++k) {
+            const float* const row = tile.plane(k) + std::size_t(y) * tile.stride();
+            for (std::uint32_t x = 0; x < tile.width(); ++x) {
+                if (begin[x] + k < begin[x + 1]) t.z[begin[x] + k] = row[x];
+            }
+        }
+    }
     return t;
 }
 

@@ -123,7 +123,7 @@ CompressOptions compressOptions(const Projection& projection,
     const BakeOptions& o = settings.options;
     const raster::MergeDepth length = footprints(projection, o.layerLength);
     CompressOptions c;
-    c.tolerance = o.tolerance;
+    c.tolerance = o.tolerance * (1.0f - settings.rounding);  // rounding takes the rest
     c.opticalDepth = o.layerOpticalDepth;
     c.lengthBase = length.base;
     c.lengthPerDepth = length.perDepth;

@@ -396,6 +396,8 @@ Status checkOptions(const BakeOptions& o) {
             ": the six views of --projection cube are square; give one number");
     if (o.bias && !(*o.bias >= 0.0f && std::isfinite(*o.bias)))
         return invalid("--bias ", *o.bias, " must be finite and not negative");
+    if (o.rounding && !(*o.rounding >= 0.0f && *o.rounding <= 1.0f))
+        return invalid("--rounding ", *o.rounding, " must be 0 to 1");
     return checkDepths(o);
 }
 

@@ -27,6 +27,7 @@ class MtsmMethod final : public Method {
         options.method = lookup == "pcf"      ? ShadowMethod::pcf
                          : lookup == "scalar" ? ShadowMethod::scalar
                                               : ShadowMethod::trace;
+        options.adaptive = settings.word("adaptive") == "true";
         options.attenuation = settings.word("attenuation") == "subtract"
                                   ? Attenuation::subtract
                                   : Attenuation::multiply;
@@ -74,11 +75,13 @@ MethodInfo mtsmMethod() {
         numberSetting("bias", -1.0, -1.0, 1e9,
                       "z threshold of the map, world units; -1: as mtsm-bake",
                       SettingUse::build),
-        wordSetting("near", {"none", "auto"}, "the casters' triangles beside the layers",
+        wordSetting("near", {"auto", "none"}, "the casters' triangles beside the layers",
                     SettingUse::build),
         wholeSetting("samples", 256, 1, kMaxSamples, "rays per point"),
         numberSetting("query-bias", -1.0, -1.0, 1e9,
                       "z threshold of the query, world units; -1: the map's own"),
+        wordSetting("adaptive", {"false", "true"},
+                    "no more than 16 rays where those see the same"),
         wordSetting("lookup", {"trace", "scalar", "pcf"},
                     "traced, traced ray by ray, or filtered as small lights may",
                     SettingUse::build),

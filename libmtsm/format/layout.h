@@ -158,7 +158,12 @@ static_assert(sizeof(TileRecord) == 32 && offsetof(TileRecord, layers) == 16);
 
 enum class PlaneKind : std::uint8_t { counts = 0, z = 1, v = 2, n = 3 };
 enum class PlaneEncoding : std::uint8_t { raw = 0, constant = 1, zstd = 2 };
-enum class PlaneFilter : std::uint8_t { none = 0, shuffle = 1, gradient = 2 };
+enum class PlaneFilter : std::uint8_t { none = 0, shuffle = 1, gradient = 2, delta = 3 };
+
+/// The filters that store differences from a guess (predict.h).
+[[nodiscard]] constexpr bool isGuess(PlaneFilter f) noexcept {
+    return f == PlaneFilter::gradient || f == PlaneFilter::delta;
+}
 
 struct PlaneRecord {
     std::uint8_t kind;
@@ -166,7 +171,8 @@ struct PlaneRecord {
     std::uint8_t encoding;
     std::uint8_t filter;                   ///< only of zstd planes; else 0
     std::uint8_t elementSize;              ///< 1, 2 or 4 bytes; 4 for z and v
-    std::array<std::uint8_t, 3> reserved;  ///< 0
+    std::uint8_t shift;                    ///< low bits that the content leaves out
+    std::array<std::uint8_t, 2> reserved;  ///< 0
     std::uint32_t constant;                ///< bits of every element; else 0
     std::uint32_t reserved2;               ///< 0
     std::uint64_t storedLength;            ///< bytes in the file; 0 for a constant

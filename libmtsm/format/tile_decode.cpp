@@ -3,15 +3,19 @@
 #include <algorithm>
 #include <bit>
 #include <cstring>
+#include <type_traits>
 
 #include "base/bytes.h"
 #include "base/message.h"
 #include "format/bad_file.h"
 #include "format/frame.h"
-#include "format/gradient.h"
+#include "format/predict.h"
+#include "format/unpredict.h"
 
 namespace mtsm::format {
 namespace {
+
+using base::makeError;
 
 /// What the plane at one position of the payload has to be.
 struct PlaneSlot {
@@ -61,7 +65,7 @@ Status checkRecord(const PlaneRecord& r, PlaneSlot slot, const TileFacts& facts)
                    elementsOf(slot, facts), " elements of ", int(r.elementSize));
     if (r.encoding > std::uint8_t(PlaneEncoding::zstd))
         return bad("unknown encoding ", int(r.encoding));
-    if (r.filter > std::uint8_t(PlaneFilter::gradient))
+    if (r.filter > std::uint8_t(PlaneFilter::delta))
         return bad("unknown filter ", int(r.filter));
 
     const auto encoding = PlaneEncoding(r.encoding);
@@ -70,8 +74,10 @@ Status checkRecord(const PlaneRecord& r, PlaneSlot slot, const TileFacts& facts)
         return bad("filter ", int(r.filter), " on a plane that is not compressed");
     if (filter == PlaneFilter::shuffle && r.elementSize == 1)
         return bad("the shuffle filter on elements of one byte");
-    if (filter == PlaneFilter::gradient && !isFloat)
-        return bad("the gradient filter on a plane of integers");
+    if (isGuess(filter) && !isFloat)
+        return bad("filter ", int(r.filter), " on a plane of integers");
+    if (r.shift > 31 || (r.shift != 0 && !isGuess(filter)))
+        return bad("shift ", int(r.shift), " with filter ", int(r.filter));
     if (encoding != PlaneEncoding::constant && r.constant != 0)
         return bad("a constant on a plane that is not constant");
     if (encoding == PlaneEncoding::constant && r.elementSize < 4 &&
@@ -123,9 +129,9 @@ struct TileDecoder::Scratch {
     Status appendPlane(const PlaneRecord& r, BytesView stored,
                        std::span<const std::uint32_t> begin, std::uint32_t width,
                        std::vector<T>& to);
-    Status readPlane(const PlaneRecord& r, BytesView stored,
-                     std::span<const std::uint32_t> begin, std::uint32_t width);
-    void unpredict(std::span<const std::uint32_t> begin, std::uint32_t width);
+    Status readContent(const PlaneRecord& r, BytesView stored);
+    void unpredict(PlaneFilter filter, std::span<const std::uint32_t> begin,
+                   std::uint32_t width, float* to) const;
 };
 
 TileDecoder::TileDecoder() : scratch_(std::make_unique<Scratch>()) {}
@@ -136,21 +142,9 @@ const std::vector<PlaneRecord>& TileDecoder::records() const noexcept {
     return scratch_->records;
 }
 
-/// Undoes the gradient filter in place: a layer's neighbours are all done before it.
-void TileDecoder::Scratch::unpredict(std::span<const std::uint32_t> begin,
-                                     std::uint32_t width) {
-    const GradientPredictor predict(begin, width, values.data());
-    for (std::uint32_t p = 0, x = 0, y = 0; p + 1 < begin.size(); ++p) {
-        for (std::uint32_t i = begin[p]; i < begin[p + 1]; ++i)
-            values[i] = unzigzag(values[i]) + predict(x, y, i - begin[p]);
-        if (++x == width) x = 0, ++y;
-    }
-}
-
-/// A checked record and its bytes into `values`; it is not a constant.
-Status TileDecoder::Scratch::readPlane(const PlaneRecord& r, BytesView stored,
-                                       std::span<const std::uint32_t> begin,
-                                       std::uint32_t width) {
+/// The content of a plane that is neither constant nor raw, into `values`: its elements,
+/// or of a filter that guesses the differences, in the order in which they are stored.
+Status TileDecoder::Scratch::readContent(const PlaneRecord& r, BytesView stored) {
     const std::size_t size = r.elementSize;
     const std::size_t n = r.decodedLength / size;
     BytesView bytes = stored;
@@ -158,18 +152,44 @@ Status TileDecoder::Scratch::readPlane(const PlaneRecord& r, BytesView stored,
         if (auto s = frames.decode(stored, r.decodedLength, decoded); !s) return s;
         bytes = decoded;
     }
-    // Byte j of element i lies at i * size + j, or shuffled at j * n + i.
-    const bool shuffled = PlaneFilter(r.filter) != PlaneFilter::none;
-    const std::size_t perElement = shuffled ? 1 : size, perByte = shuffled ? n : 1;
     reuse(values, n);
-    std::fill(values.begin(), values.end(), 0u);
-    for (std::size_t j = 0; j < size; ++j) {
-        const std::uint8_t* const from = bytes.data() + j * perByte;
+    std::uint32_t* const to = values.data();
+    const auto filter = PlaneFilter(r.filter);
+    if (isGuess(filter)) {
+        const int shift = r.shift;
+        const std::uint8_t *const b0 = bytes.data(), *const b1 = b0 + n,
+                                  *const b2 = b1 + n, *const b3 = b2 + n;
         for (std::size_t i = 0; i < n; ++i)
-            values[i] |= std::uint32_t(from[i * perElement]) << (8 * j);
+            to[i] = unzigzag(std::uint32_t(b0[i]) | std::uint32_t(b1[i]) << 8 |
+                             std::uint32_t(b2[i]) << 16 | std::uint32_t(b3[i]) << 24)
+                    << shift;
+        return {};
     }
-    if (PlaneFilter(r.filter) == PlaneFilter::gradient) unpredict(begin, width);
+    // Byte j of element i lies at i * size + j, or shuffled at j * n + i.
+    const bool apart = filter == PlaneFilter::shuffle || size == 1;
+    for (std::size_t j = 0; j < size; ++j) {
+        const std::uint8_t* const from = bytes.data() + j * (apart ? n : 1);
+        const std::uint32_t keep = j > 0 ? ~std::uint32_t(0) : 0;
+        const auto add = [&, shift = 8 * j](std::size_t step) {
+            for (std::size_t i = 0; i < n; ++i)
+                to[i] = (to[i] & keep) | std::uint32_t(from[i * step]) << shift;
+        };
+        apart ? add(1) : add(size);
+    }
     return {};
+}
+
+/// Adds the differences in `values` to what is guessed.
+void TileDecoder::Scratch::unpredict(PlaneFilter filter,
+                                     std::span<const std::uint32_t> begin,
+                                     std::uint32_t width, float* to) const {
+    if (filter == PlaneFilter::gradient)
+        return addGradient(begin, width, values.data(), to);
+    forEachGuess<true>(begin, width, to, [&](std::uint32_t i, std::uint32_t guess) {
+        const std::uint32_t bits = guess + values[i];
+        to[i] = std::bit_cast<float>(bits);
+        return bits;
+    });
 }
 
 template <typename T>
@@ -182,12 +202,21 @@ Status TileDecoder::Scratch::appendPlane(const PlaneRecord& r, BytesView stored,
         to.insert(to.end(), n, std::bit_cast<T>(r.constant));
         return {};
     }
-    const void* elements = stored.data();
-    if (PlaneEncoding(r.encoding) != PlaneEncoding::raw || r.elementSize != sizeof(T)) {
-        if (auto s = readPlane(r, stored, begin, width); !s) return s;
-        elements = values.data();
+    const auto filter = PlaneFilter(r.filter);
+    const bool raw =
+        PlaneEncoding(r.encoding) == PlaneEncoding::raw && r.elementSize == sizeof(T);
+    if (!raw) {
+        if (auto s = readContent(r, stored); !s) return s;
     }
     to.resize(at + n);
+    if constexpr (std::is_same_v<T, float>) {
+        if (isGuess(filter)) {
+            unpredict(filter, begin, width, to.data() + at);
+            return {};
+        }
+    }
+    const void* const elements =
+        raw ? static_cast<const void*>(stored.data()) : values.data();
     std::memcpy(to.data() + at, elements, n * sizeof(T));
     return {};
 }
@@ -213,16 +242,18 @@ Status checkTileRecord(const TileRecord& t, const TileFacts& facts) {
 Status sumCounts(std::span<const std::uint32_t> counts, std::uint32_t layers,
                  std::vector<std::uint32_t>& begin) {
     std::uint64_t sum = 0;
-    begin.reserve(counts.size() + 1);
-    begin.push_back(0);
-    for (std::uint32_t count : counts) {
+    for (const std::uint32_t count : counts)
         sum += count;
-        if (sum > layers) break;
-        begin.push_back(static_cast<std::uint32_t>(sum));
-    }
     if (sum != layers)
         return bad("layers of all pixels add up to ", sum > layers ? "more" : "fewer",
                    " than the tile's ", layers);
+    begin.resize(counts.size() + 1);
+    std::uint32_t next = 0;
+    for (std::size_t i = 0; i < counts.size(); ++i) {
+        begin[i] = next;
+        next += counts[i];
+    }
+    begin.back() = next;
     return {};
 }
 

@@ -55,6 +55,45 @@ Status checkProjection(const Projection& p, std::uint32_t face) {
     return {};
 }
 
+/// Layers i > 0 of which `breaks(i)` says that they cannot follow the one before, less
+/// those that need not, being the first of a pixel: 0 if all is in order.
+template <typename Breaks>
+std::size_t countBreaks(const Tile& t, const Breaks& breaks) {
+    std::size_t count = 0;
+    for (std::size_t i = 1; i < t.z.size(); ++i)
+        count += breaks(i);
+    for (std::size_t p = 1; p + 1 < t.begin.size(); ++p) {
+        const std::uint32_t first = t.begin[p];
+        if (first > 0 && first < t.begin[p + 1]) count -= breaks(first);
+    }
+    return count;
+}
+
+/// Whether a tile's content, of which the shape is right, holds every invariant: all of
+/// it in a few passes without branches. False, too, where that would not be simple.
+bool looksRight(const Tile& t, std::uint32_t channels) {
+    bool good = true;
+    for (std::size_t p = 0; p + 1 < t.begin.size(); ++p) {
+        const std::uint32_t begin = t.begin[p], end = t.begin[p + 1];
+        good &= begin <= end && end - begin <= kMaxPixelLayers;
+    }
+    if (!good || (!t.v.empty() && channels != 1)) return false;
+    constexpr std::uint32_t kInfinity = 0x7f800000, kOne = 0x3f800000, kMinus0 = 1u << 31;
+    for (const float z : t.z)
+        good &= std::bit_cast<std::uint32_t>(z) - 1 < kInfinity - 1;
+    for (const std::uint32_t n : t.n)
+        good &= n != 0;
+    for (const float v : t.v) {
+        const auto bits = std::bit_cast<std::uint32_t>(v);
+        good &= (bits <= kOne) | (bits == kMinus0);
+    }
+    if (!good || countBreaks(t, [&](std::size_t i) { return t.z[i] < t.z[i - 1]; }) != 0)
+        return false;
+    return t.v.empty() || countBreaks(t, [&](std::size_t i) {
+                              return (t.v[i] > t.v[i - 1]) & (t.v[i - 1] != 0.0f);
+                          }) == 0;
+}
+
 }  // namespace
 
 Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
@@ -173,6 +212,7 @@ Status ShadowMap::checkTile(std::uint32_t face, std::uint32_t tx,
         return invalid(where(), ": ", t.n.size(), " sample counts for ", layers,
                        " layers");
 
+    if (looksRight(t, channels)) return {};
     for (std::size_t p = 0; p < pixels; ++p) {
         const std::uint32_t begin = t.begin[p], end = t.begin[p + 1];
         const auto at = [&](std::uint32_t layer) {
@@ -256,24 +296,51 @@ void ShadowMap::buildHierarchy() {
     for (std::uint32_t face = 0; face < faceCount(); ++face) {
         std::uint32_t width = info_.width, height = info_.height;
         for (std::uint32_t level = 1; level < levels_; ++level) {
-            const std::uint32_t below = level - 1;
             const std::uint32_t belowWidth = width, belowHeight = height;
             width = (width + 1) / 2;
             height = (height + 1) / 2;
             Level l;
             l.width = width;
             l.nodes.resize(std::size_t(width) * height);
-            base::parallelRanges(0u, height, kRowsPerTask, [&](auto first, auto last) {
-                for (std::uint32_t y = first; y < last; ++y) {
-                    ZRange* const row = l.nodes.data() + std::size_t(y) * width;
-                    for (std::uint32_t j = 2 * y; j < std::min(belowHeight, 2 * y + 2);
-                         ++j) {
-                        for (std::uint32_t x = 0; x < belowWidth; ++x)
-                            row[x / 2].include(zRange(face, below, x, j));
-                    }
-                }
-            });
+            if (level == 1) {
+                base::parallelFor(std::size_t(0), faces_[face].tiles.size(),
+                                  [&](std::size_t i) { addPixels(face, i, l); });
+            } else {
+                const ZRange* const below = hierarchy_[face].back().nodes.data();
+                base::parallelRanges(
+                    0u, height, kRowsPerTask, [&](auto first, auto last) {
+                        for (std::uint32_t y = first; y < last; ++y) {
+                            ZRange* const row = l.nodes.data() + std::size_t(y) * width;
+                            const std::uint32_t end = std::min(belowHeight, 2 * y + 2);
+                            for (std::uint32_t j = 2 * y; j < end; ++j) {
+                                const ZRange* const from =
+                                    below + std::size_t(j) * belowWidth;
+                                for (std::uint32_t x = 0; x < belowWidth; ++x)
+                                    row[x / 2].include(from[x]);
+                            }
+                        }
+                    });
+            }
             hierarchy_[face].push_back(std::move(l));
+        }
+    }
+}
+
+/// A tile's pixels into level 1. Tiles share no node: their sides are even.
+void ShadowMap::addPixels(std::uint32_t face, std::size_t tileIndex, Level& level) const {
+    const Tile& t = faces_[face].tiles[tileIndex];
+    if (t.z.empty()) return;
+    const auto tx = std::uint32_t(tileIndex % tilesX_);
+    const auto ty = std::uint32_t(tileIndex / tilesX_);
+    const std::uint32_t width = tileWidth(tx), height = tileHeight(ty);
+    const std::uint32_t* begin = t.begin.data();
+    for (std::uint32_t y = 0; y < height; ++y, begin += width) {
+        const std::size_t row = (std::size_t(ty) * info_.tileSize + y) / 2;
+        ZRange* const nodes =
+            level.nodes.data() + row * level.width + tx * info_.tileSize / 2;
+        for (std::uint32_t x = 0; x < width; ++x) {
+            if (begin[x] < begin[x + 1])
+                nodes[x / 2].include({t.z[begin[x]], t.z[begin[x + 1] - 1]});
         }
     }
 }

@@ -2,57 +2,60 @@
 #include "raster/kbuffer.h"
 
 #include <algorithm>
+#include <utility>
 
 namespace mtsm::raster {
 
-bool KTile::allocate() {
-    const std::size_t size = std::size_t(pixels_) * layers_;
-    const std::size_t offsets = std::size_t(pixels_) + 1;  // of the layers in the map
-    if (!budget_->reserve((size + offsets) * sizeof(float))) return false;
-    z_.reset(new float[size]);
-    std::fill_n(z_.get(), size, kNoSample);
+void KTile::insert(std::uint32_t place, float z) {
+    ++samples_;
+    std::uint32_t copies = 0;  // of what is moved
+    for (std::uint32_t k = 0; k < layers_ && z < kNoSample; ++k) {
+        if (k == planes() && !addPlane()) return;
+        float& kept = planes_[k][place];
+        if (kept == z) return addCopy(k, place);
+        if (kept < z) continue;
+        std::swap(kept, z);
+        if (copies_) std::swap(copies_[k * planeSize() + place], copies);
+    }
+}
+
+bool KTile::addPlane() {
+    const std::size_t offsets = empty() ? std::size_t(width_) * height_ + 1 : 0;
+    if (!budget_->reserve((planeSize() + offsets) * sizeof(float))) return false;
+    planes_.emplace_back(new float[planeSize()]);
+    std::fill_n(planes_.back().get(), planeSize(), kNoSample);
     return true;
 }
 
-void KTile::addCopy(std::uint32_t pixel, std::uint32_t slot) {
+void KTile::addCopy(std::uint32_t layer, std::uint32_t place) {
     if (!copies_) {
-        const std::size_t size = std::size_t(pixels_) * layers_;
+        const std::size_t size = planeSize() * layers_;
         if (!budget_->reserve(size * sizeof(std::uint32_t))) return;
         copies_ = std::make_unique<std::uint32_t[]>(size);
     }
-    ++copies_[std::size_t(pixel) * layers_ + slot];
+    ++copies_[layer * planeSize() + place];
 }
 
-/// Makes room for a sample that has no copies yet.
-void KTile::shiftCopies(std::uint32_t pixel, std::uint32_t slot) {
-    std::uint32_t* const copies = copies_.get() + std::size_t(pixel) * layers_;
-    std::copy_backward(copies + slot, copies + layers_ - 1, copies + layers_);
-    copies[slot] = 0;
-}
-
-std::uint32_t KTile::count(std::uint32_t pixel) const noexcept {
-    const float* const zs = z(pixel);
+std::uint32_t KTile::count(std::uint32_t x, std::uint32_t y) const noexcept {
     std::uint32_t count = 0;
-    for (std::uint32_t i = 0; i < layers_; ++i)
-        count += zs[i] < kNoSample;
+    for (const auto& plane : planes_)
+        count += plane[std::size_t(y) * stride_ + x] < kNoSample;
     return count;
 }
 
 std::uint64_t KTile::copies() const noexcept {
     std::uint64_t sum = 0;
-    const std::size_t size = std::size_t(pixels_) * layers_;
-    for (std::size_t i = 0; copies_ && i < size; ++i)
+    for (std::size_t i = 0; copies_ && i < planeSize() * layers_; ++i)
         sum += copies_[i];
     return sum;
 }
 
 std::uint64_t KTile::bytes() const noexcept {
-    const std::uint64_t plane = std::uint64_t(pixels_) * layers_ * sizeof(float);
-    return plane * ((z_ ? 1 : 0) + (copies_ ? 1 : 0));
+    return planeSize() * sizeof(float) * (planes_.size() + (copies_ ? layers_ : 0));
 }
 
 void KTile::clear() noexcept {
-    z_.reset();
+    planes_.clear();
     copies_.reset();
     samples_ = 0;
 }

@@ -5,8 +5,10 @@
 #include <array>
 #include <bit>
 #include <glm/geometric.hpp>
+#include <span>
 
 #include "base/parallel.h"
+#include "raster/draw_nearest.h"
 #include "raster/light_from_object.h"
 #include "raster/mesh_chunk.h"
 
@@ -14,11 +16,12 @@ namespace mtsm::raster {
 namespace {
 
 // A slice's prepared triangles (72 bytes each) fit a core's second-level cache; a batch
-// has enough slices for the threads of a large machine.
-constexpr std::uint32_t kSliceTriangles = 4096;
+// has enough slices for the threads of a large machine, and no more than that: a small
+// bake is over before it has used memory twice.
+constexpr std::uint32_t kSliceTriangles = 2048;
 constexpr std::uint32_t kSlices = 32;
 constexpr std::uint32_t kBatchTriangles = kSlices * kSliceTriangles;
-constexpr std::uint32_t kMostBins = 1024;
+constexpr std::uint32_t kMostBins = 4096;
 
 static_assert(KBuffer::kTileShift == SampleGrid::kTileShift);
 constexpr std::uint32_t kTileShift = KBuffer::kTileShift;
@@ -124,6 +127,7 @@ void Rasteriser::prepare(const MeshView& mesh, std::size_t first, std::uint32_t 
         Slice& slice = slices_[s];
         const std::uint32_t from = std::max(pending_, s * kSliceTriangles);
         const std::uint32_t to = std::min(end, (s + 1) * kSliceTriangles);
+        slice.triangles.reserve(kSliceTriangles);
         slice.surfaces.push_back(surfaceOf(mesh, grid_ ? grid_->channels() : 1));
         for (std::uint32_t i = from; i < to; ++i) {
             const std::size_t corner = 3 * std::size_t(i - pending_);
@@ -152,22 +156,27 @@ void Rasteriser::drawBin(std::uint32_t bin) const {
     const PixelRect pixels = intersect(
         {x * side, y * side, (x + 1) * side - 1, (y + 1) * side - 1}, wantedPixels());
     if (pixels.empty()) return;
+    if (buffer_) {
+        std::array<TriangleList, kSlices> lists;
+        for (std::uint32_t i = 0; i < kSlices; ++i) {
+            const Slice& slice = slices_[i];
+            if (slice.taken == 0) continue;
+            const std::uint32_t first = slice.begin[bin], end = slice.begin[bin + 1];
+            lists[i] = {slice.triangles.data(),
+                        {slice.order.data() + first, end - first}};
+        }
+        return drawNearest(projection_.kind, lists, pixels, *buffer_);
+    }
     const bool perspective = projection_.kind == ProjectionKind::perspective;
     for (const Slice& slice : slices_) {
         if (slice.taken == 0) continue;
         for (std::uint32_t i = slice.begin[bin]; i < slice.begin[bin + 1]; ++i) {
             const PreparedTriangle& t = slice.triangles[slice.order[i]];
-            if (grid_) {
-                const Surface& surface = slice.surfaces[t.surface];
-                if (perspective)
-                    drawInGrid<ProjectionKind::perspective>(t, surface, pixels);
-                else
-                    drawInGrid<ProjectionKind::orthographic>(t, surface, pixels);
-            } else if (perspective) {
-                drawInBin<ProjectionKind::perspective>(t, pixels);
-            } else {
-                drawInBin<ProjectionKind::orthographic>(t, pixels);
-            }
+            const Surface& surface = slice.surfaces[t.surface];
+            if (perspective)
+                drawInGrid<ProjectionKind::perspective>(t, surface, pixels);
+            else
+                drawInGrid<ProjectionKind::orthographic>(t, surface, pixels);
         }
     }
 }
@@ -180,38 +189,6 @@ PixelRect Rasteriser::wantedPixels() const noexcept {
         all.y1 = std::int32_t(grid_->endPixelRow() << subsampleShift_) - 1;
     }
     return all;
-}
-
-namespace {
-
-/// Calls draw(tx, ty, part) for the parts of `pixels` that lie in one tile each.
-template <typename Draw>
-void forEachTile(PixelRect pixels, std::uint32_t shift, const Draw& draw) {
-    const std::int32_t side = 1 << shift;
-    for (std::int32_t ty = pixels.y0 >> shift; ty <= pixels.y1 >> shift; ++ty) {
-        for (std::int32_t tx = pixels.x0 >> shift; tx <= pixels.x1 >> shift; ++tx) {
-            const std::int32_t left = tx * side, top = ty * side;
-            draw(std::uint32_t(tx), std::uint32_t(ty),
-                 intersect(pixels, {left, top, left + side - 1, top + side - 1}));
-        }
-    }
-}
-
-}  // namespace
-
-template <ProjectionKind kind>
-void Rasteriser::drawInBin(const PreparedTriangle& t, PixelRect bin) const {
-    forEachTile(intersect(t.pixels(), bin), kTileShift,
-                [&](std::uint32_t tx, std::uint32_t ty, PixelRect within) {
-                    KTile& tile = buffer_->tile(tx, ty);
-                    const auto left = std::int32_t(tx << kTileShift);
-                    const auto top = std::int32_t(ty << kTileShift);
-                    const auto width = std::int32_t(tile.width());
-                    drawTriangle<kind>(
-                        t, within, [&](std::int32_t x, std::int32_t y, float z) {
-                            tile.insert(std::uint32_t((y - top) * width + (x - left)), z);
-                        });
-                });
 }
 
 template <ProjectionKind kind>

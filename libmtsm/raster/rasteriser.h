@@ -67,8 +67,6 @@ class Rasteriser {
     void prepare(const MeshView& mesh, std::size_t first, std::uint32_t count);
     void drawBin(std::uint32_t bin) const;
     template <ProjectionKind kind>
-    void drawInBin(const PreparedTriangle& t, PixelRect bin) const;
-    template <ProjectionKind kind>
     void drawInGrid(const PreparedTriangle& t, const Surface& surface,
                     PixelRect bin) const;
     [[nodiscard]] PixelRect wantedPixels() const noexcept;

@@ -90,6 +90,7 @@ TriangleSetup::TriangleSetup(const Projection& projection, std::uint32_t width,
 Vertex TriangleSetup::vertex(glm::dvec3 light) const noexcept {
     Vertex v;
     v.light = light;
+    v.light2 = glm::dot(light, light);
     if (!(usable(light.x) && usable(light.y) && usable(light.z))) {
         v.flags = kNotFinite;
         return v;
@@ -98,7 +99,9 @@ Vertex TriangleSetup::vertex(glm::dvec3 light) const noexcept {
         v.flags = light.z < near_ ? kBeforeNear : kBehindFar;
         return v;
     }
-    return projected(light);
+    v = projected(light);
+    v.light2 = glm::dot(light, light);
+    return v;
 }
 
 /// A corner that is known to be usable: one between near and far, or made by a cut.
@@ -132,7 +135,8 @@ void TriangleSetup::triangle(const Vertex& a, const Vertex& b, const Vertex& c,
         ++counts.nonFinite;
         return;
     }
-    const TriangleNormal area(a.light, b.light, c.light, origin2);
+    const TriangleNormal area(a.light, b.light, c.light,
+                              std::max({a.light2, b.light2, c.light2}), origin2);
     if (!area.hasArea) {
         ++counts.degenerate;
         return;

@@ -71,13 +71,18 @@ struct TriangleNormal {
     glm::dvec3 normal;
     bool hasArea;
 
-    TriangleNormal(glm::dvec3 a, glm::dvec3 b, glm::dvec3 c, double origin2) noexcept {
+    TriangleNormal(glm::dvec3 a, glm::dvec3 b, glm::dvec3 c, double origin2) noexcept
+        : TriangleNormal(a, b, c,
+                         std::max({glm::dot(a, a), glm::dot(b, b), glm::dot(c, c)}),
+                         origin2) {}
+    /// `corner2`: the square of the largest distance of a corner from the origin.
+    TriangleNormal(glm::dvec3 a, glm::dvec3 b, glm::dvec3 c, double corner2,
+                   double origin2) noexcept {
         constexpr double kRounding = 4.0 * 0x1p-52;
         const glm::dvec3 ab = b - a, ac = c - a, bc = c - b;
         normal = glm::cross(ab, ac);
         const double edge2 = glm::dot(ab, ab) + glm::dot(ac, ac) + glm::dot(bc, bc);
-        const double size2 =
-            std::max({glm::dot(a, a), glm::dot(b, b), glm::dot(c, c)}) + origin2;
+        const double size2 = corner2 + origin2;
         hasArea = glm::dot(normal, normal) > kRounding * kRounding * size2 * edge2;
     }
 };
@@ -85,6 +90,7 @@ struct TriangleNormal {
 /// A projected corner.
 struct Vertex {
     glm::dvec3 light{0.0};
+    double light2 = 0.0;  ///< its square
     glm::dvec2 raster{0.0};
     std::int32_t x = 0, y = 0;  ///< snapped, in grid steps
     std::uint32_t flags = 0;    ///< 0: finite, between near and far, within the window
@@ -152,6 +158,20 @@ class TriangleSetup {
     ClipPlane guard_[4];
     std::int32_t width_, height_;
 };
+
+/// Calls draw(tx, ty, part) for the parts of `pixels` that lie in one tile each, of
+/// 2^shift pixels a side.
+template <typename Draw>
+void forEachTile(PixelRect pixels, std::uint32_t shift, const Draw& draw) {
+    const std::int32_t side = 1 << shift;
+    for (std::int32_t ty = pixels.y0 >> shift; ty <= pixels.y1 >> shift; ++ty) {
+        for (std::int32_t tx = pixels.x0 >> shift; tx <= pixels.x1 >> shift; ++tx) {
+            const std::int32_t left = tx * side, top = ty * side;
+            draw(std::uint32_t(tx), std::uint32_t(ty),
+                 intersect(pixels, {left, top, left + side - 1, top + side - 1}));
+        }
+    }
+}
 
 namespace detail {
 

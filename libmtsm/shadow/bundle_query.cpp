@@ -21,11 +21,13 @@ constexpr float kFarthestOutside = 8.0f;
 /// Trees count in 32 bits.
 constexpr std::uint64_t kMostLayers = std::uint64_t(1) << 31;
 
+// Measured (tests/bench/NOTES.md): twice the depth halves the error next to receivers and
+// costs little; lower planes leave acne, higher ones lose contact.
 /// The near field answers for so many pixel footprints of depth.
-constexpr double kNearDepth = 16.0;
+constexpr double kNearDepth = 32.0;
 /// Its triangles are the receiver's own no higher than this above its tangent plane, in
 /// pixel footprints: they lie on a grid of 1/256 of one, mostly.
-constexpr double kNearHeight = 0.02;
+constexpr double kNearHeight = 0.01;
 /// Without normals: rays start this much nearer to the receiver.
 constexpr double kNearStart = 0.1;
 
@@ -41,11 +43,12 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
     setting.weights = normals && options.weight == Weight::cosine;
     setting.height = kPlaneHeight;
     if (!map.nearField(0).empty()) {
-        setting.nearDepth = getenv("NPX") ? atof(getenv("NPX")) : kNearDepth;
-        setting.nearHeight = getenv("NH") ? atof(getenv("NH")) : kNearHeight;
+        setting.nearDepth = kNearDepth;
+        setting.nearHeight = kNearHeight;
         setting.nearStart = kNearStart;
     }
     setting.media = !map.isOpaque();
+    setting.probe = options.adaptive;
     // Sheets are met within two biases.
     ZRange depths = map.zRange(0);
     const trace::ZBias bias = biasOf(map, options.bias);
@@ -112,8 +115,7 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
     axisX_ = turn(seen.x), axisY_ = turn(seen.y), axisZ_ = turn(seen.z);
     base_ = turn(seen.base);
     capHeight_ = seen.capHeight;
-    nearHeight_ = float((getenv("NH") ? atof(getenv("NH")) : kNearHeight) *
-                        projection_.pixelFootprint(1.0));
+    nearHeight_ = float(kNearHeight * projection_.pixelFootprint(1.0));
     if (!seen.endless) centre_ = projection_.lightFromWorld(light_.centre());
 }
 
@@ -198,17 +200,22 @@ void BundleQuery::traceNear(trace::RayBundle& bundle,
         std::copy_n(fates.layersBegin[row], trace::kLanes, bundle.begin[row]);
 }
 
-/// Adds what the bundle's rays leave of the light to `visible`.
-void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates, bool weights,
-                         glm::vec3* visible) const noexcept {
+/// Adds what the bundle's rays leave of the light. `valid` [row]: the rays that there
+/// are.
+void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
+                         const std::uint16_t* valid, bool weights,
+                         Sums* sums) const noexcept {
     const int rows = bundle.receivers * bundle.groups;
     if (patches_) {
         if (!map_.nearField(0).empty()) traceNear(bundle, fates);
         trace::tracePatches(*patches_, bundle);
         for (int row = 0; row < rows; ++row) {
             const std::uint32_t left = bundle.open[row] | fates.clear[row];
-            visible[row / bundle.groups] +=
+            Sums& s = sums[row / bundle.groups];
+            s.visible +=
                 weights ? sum(left, fates.weight[row]) : float(std::popcount(left));
+            if (left) s.most = 1.0f;
+            if (left != valid[row]) s.least = 0.0f;
         }
         return;
     }
@@ -224,22 +231,44 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates, bool w
     options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
     trace::traceDensity(*density_, options, bundle, depths);
     for (int row = 0; row < rows; ++row) {
-        for (std::uint32_t c = 0; c < 3; ++c) {
-            float& sum = visible[row / bundle.groups][int(c)];
-            const float* depth = depths.depth[c < channels ? c : 0][row];
-            for (int i = 0; i < trace::kLanes; ++i) {
-                const float weight = weights ? fates.weight[row][i] : 1.0f;
-                if (fates.clear[row] >> i & 1) sum += weight;
-                if (!(followed[row] >> i & 1)) continue;
-                const float v = std::exp(-depth[i]);
-                if (v > float(threshold)) sum += weight * v;
+        Sums& s = sums[row / bundle.groups];
+        for (std::uint32_t rest = valid[row]; rest; rest &= rest - 1) {
+            const int i = std::countr_zero(rest);
+            glm::vec3 v(fates.clear[row] >> i & 1 ? 1.0f : 0.0f);
+            if (followed[row] >> i & 1) {
+                for (std::uint32_t c = 0; c < 3; ++c) {
+                    const float left =
+                        std::exp(-depths.depth[c < channels ? c : 0][row][i]);
+                    v[int(c)] = left > float(threshold) ? left : 0.0f;
+                }
             }
+            s.visible += (weights ? fates.weight[row][i] : 1.0f) * v;
+            s.least = std::min({s.least, v.x, v.y, v.z});
+            s.most = std::max({s.most, v.x, v.y, v.z});
         }
     }
 }
 
-void BundleQuery::shadowFactors(const Receiver* receivers, int count, glm::vec3* out,
-                                QueryStats& stats) const noexcept {
+bool BundleQuery::probes() const noexcept {
+    return options_.adaptive && samples_ > trace::kLanes;
+}
+
+bool BundleQuery::isMixed(const Sums& sums) noexcept {
+    constexpr float kSame = 1.0f / 64;
+    return sums.most - sums.least > kSame;
+}
+
+glm::vec3 BundleQuery::factorsOf(const Sums& sums, bool probed) const noexcept {
+    const bool weights = options_.weight == Weight::cosine && sums.total >= 0.0f;
+    const float total =
+        weights ? sums.total : float(probed ? std::uint32_t(trace::kLanes) : samples_);
+    // All weights may vanish in the distance; below the horizon all is dark.
+    if (!(total > 0.0f)) return glm::vec3(sums.above ? 0.0f : 1.0f);
+    return glm::clamp(1.0f - sums.visible / total, 0.0f, 1.0f);
+}
+
+void BundleQuery::look(const Receiver* receivers, int count, Part part, Sums* sums,
+                       QueryStats& stats) const noexcept {
     const bool normals = receivers[0].normal != glm::dvec3(0.0);
     const bool weights = normals && options_.weight == Weight::cosine;
     const LightRays& rays = *(normals ? withNormals_ : without_);
@@ -250,25 +279,22 @@ void BundleQuery::shadowFactors(const Receiver* receivers, int count, glm::vec3*
 
     trace::RayBundle bundle;
     RayFates fates;
-    glm::vec3 visible[trace::kMostReceivers] = {};
-    float total[trace::kMostReceivers] = {};
-    bool above[trace::kMostReceivers] = {};  // has it rays above its horizon?
+    std::uint16_t valid[trace::kMostRows];
     const int atOnce = trace::kMostRows / count;
-    for (int first = 0; first < rays.groups(); first += atOnce) {
-        rays.fill(lanes, first, std::min(atOnce, rays.groups() - first), bundle, fates);
+    const int end = part == Part::probe ? 1 : rays.groups();
+    for (int first = part == Part::others ? 1 : 0; first < end; first += atOnce) {
+        rays.fill(lanes, first, std::min(atOnce, end - first), bundle, fates);
         for (int row = 0; row < bundle.receivers * bundle.groups; ++row) {
+            const int left =
+                int(samples_) - (first + row % bundle.groups) * trace::kLanes;
+            valid[row] = std::uint16_t((1u << std::min(left, trace::kLanes)) - 1);
             const std::uint32_t counted = bundle.open[row] | fates.clear[row];
             stats.rays += std::uint64_t(std::popcount(counted));
-            above[row / bundle.groups] |= counted != 0;
-            if (weights) total[row / bundle.groups] += sum(counted, fates.weight[row]);
+            Sums& s = sums[row / bundle.groups];
+            s.above = s.above || counted != 0;
+            s.total = weights ? s.total + sum(counted, fates.weight[row]) : -1.0f;
         }
-        follow(bundle, fates, weights, visible);
-    }
-    for (int i = 0; i < count; ++i) {
-        if (!weights) total[i] = float(samples_);
-        // All weights may vanish in the distance; below the horizon all is dark.
-        out[i] = total[i] > 0.0f ? glm::clamp(1.0f - visible[i] / total[i], 0.0f, 1.0f)
-                                 : glm::vec3(above[i] ? 0.0f : 1.0f);
+        follow(bundle, fates, valid, weights, sums);
     }
 }
 

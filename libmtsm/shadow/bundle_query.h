@@ -37,9 +37,24 @@ class BundleQuery {
     /// too coarse. The point must be finite and not behind the light.
     [[nodiscard]] std::optional<std::uint32_t> placeOf(glm::dvec3 point) const noexcept;
 
-    /// Shadow factors of 1 to 16 receivers; counts rays.
-    void shadowFactors(const Receiver* receivers, int count, glm::vec3* out,
-                       QueryStats& stats) const noexcept;
+    /// What is known of a receiver.
+    struct Sums {
+        glm::vec3 visible{0.0f};          ///< [channel]
+        float total = 0.0f;               ///< of the weights
+        float least = 1.0f, most = 0.0f;  ///< visibilities of its rays
+        bool above = false;               ///< has it rays above its horizon?
+    };
+    /// Of all rays: the first part, and the others if that is not enough.
+    enum class Part { all, probe, others };
+    /// Adds what some rays of 1 to 16 receivers see; counts rays.
+    void look(const Receiver* receivers, int count, Part part, Sums* sums,
+              QueryStats& stats) const noexcept;
+    /// Are all rays needed that the probe has not yet followed?
+    [[nodiscard]] static bool isMixed(const Sums& sums) noexcept;
+    /// Has a query two parts?
+    [[nodiscard]] bool probes() const noexcept;
+    /// The shadow factors; `probed`: of the first part alone.
+    [[nodiscard]] glm::vec3 factorsOf(const Sums& sums, bool probed) const noexcept;
 
   private:
     [[nodiscard]] std::uint32_t keyOf(const Receiver& receiver) const noexcept;
@@ -48,8 +63,8 @@ class BundleQuery {
     }
     void setLane(const Receiver& receiver, int lane, ReceiverLanes& lanes) const noexcept;
 
-    void follow(trace::RayBundle& bundle, const RayFates& fates, bool weights,
-                glm::vec3* visible) const noexcept;
+    void follow(trace::RayBundle& bundle, const RayFates& fates,
+                const std::uint16_t* valid, bool weights, Sums* sums) const noexcept;
     void traceNear(trace::RayBundle& bundle, const RayFates& fates) const noexcept;
 
     const ShadowMap& map_;

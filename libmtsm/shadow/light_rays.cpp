@@ -152,23 +152,57 @@ class Starts {
         }
     };
 
+    /// The box around a piece of a cap (light::sampleCap): a point at distance r from the
+    /// disk's centre is sqrt(h (2 - r^2 h)) times as far from the axis and r^2 h below
+    /// the summit, h being the cap's height.
+    void capBounds(const LightRays::Piece& piece, Vec& lowX, Vec& highX, Vec& lowY,
+                   Vec& highY, Vec (&heights)[2]) const {
+        const auto nearest = [](float low, float high) {
+            return std::max(0.0f, std::max(low, -high));
+        };
+        const auto furthest = [](float low, float high) { return std::max(-low, high); };
+        const auto square = [](float x, float y) {
+            return constant(std::min(1.0f, x * x + y * y));
+        };
+        const Vec r2[2] = {
+            square(nearest(piece.lowA, piece.highA), nearest(piece.lowB, piece.highB)),
+            square(furthest(piece.lowA, piece.highA), furthest(piece.lowB, piece.highB))};
+        Vec scales[2];
+        for (int i = 0; i < 2; ++i) {
+            heights[i] = hn::Mul(r2[i], capHeight_);
+            const Vec left = hn::Sub(constant(2.0f), heights[i]);
+            scales[i] = hn::Sqrt(hn::Max(hn::Zero(kF), hn::Mul(capHeight_, left)));
+        }
+        // Nothing is further from the axis than the rim, or the sphere's equator.
+        const Vec h = hn::Min(capHeight_, constant(1.0f));
+        const Vec rim = hn::Sqrt(hn::Mul(h, hn::Sub(constant(2.0f), h)));
+        const auto bound = [&](Vec& low, Vec& high) {
+            const Vec zero = hn::Zero(kF);
+            low = hn::Mul(low, hn::IfThenElse(hn::Lt(low, zero), scales[0], scales[1]));
+            high =
+                hn::Mul(high, hn::IfThenElse(hn::Lt(high, zero), scales[1], scales[0]));
+            low = hn::Max(low, hn::Neg(rim));
+            high = hn::Min(high, rim);
+        };
+        bound(lowX, highX);
+        bound(lowY, highY);
+    }
+
     /// Adds those of rays to a piece of the light, corners included: (a, b) from low to
     /// high, of the light's square or of the square around its disk.
     void addSlopes(const LightRays::Piece& piece, Slopes& slopes) const {
-        // A cap lies between the plane of its rim and its summit.
+        Vec lowX = constant(piece.lowA), highX = constant(piece.highA);
+        Vec lowY = constant(piece.lowB), highY = constant(piece.highB);
         const bool cap = in_.domain == light::LightView::Domain::cap;
-        Vec reach = constant(1.0f);
-        if (cap)
-            reach = hn::Sqrt(hn::Max(
-                hn::Zero(kF), hn::Mul(capHeight_, hn::Sub(constant(2.0f), capHeight_))));
+        Vec heights[2];  // of a cap: from its summit down
+        if (cap) capBounds(piece, lowX, highX, lowY, highY, heights);
         for (int plane = 0; plane < (cap ? 2 : 1); ++plane) {
-            const Vec height = plane == 0 ? capHeight_ : hn::Zero(kF);
             const Vec3 middle =
-                cap ? along(base_, hn::Sub(constant(1.0f), height), axisZ_) : base_;
-            for (const float a : {piece.lowA, piece.highA}) {
-                for (const float b : {piece.lowB, piece.highB}) {
-                    const Vec3 side = along(middle, hn::Mul(reach, constant(a)), axisX_);
-                    const Vec3 end = along(side, hn::Mul(reach, constant(b)), axisY_);
+                cap ? along(base_, hn::Sub(constant(1.0f), heights[plane]), axisZ_)
+                    : base_;
+            for (const Vec x : {lowX, highX}) {
+                for (const Vec y : {lowY, highY}) {
+                    const Vec3 end = along(along(middle, x, axisX_), y, axisY_);
                     slopes.towardsEye =
                         hn::And(slopes.towardsEye, hn::Lt(end.z, hn::Zero(kF)));
                     const Pair at = slope(end);
@@ -520,17 +554,20 @@ std::uint64_t placeOf(glm::dvec2 u) {
     return place;
 }
 
-/// The first points of a sequence, neighbours close to each other.
+/// The first points of a sequence, neighbours close to each other; of the first `probe`
+/// and of the others.
 std::vector<glm::dvec2> pattern(std::uint32_t number, std::uint32_t seed,
-                                std::uint32_t samples) {
+                                std::uint32_t samples, std::uint32_t probe) {
     const base::SquareSequence sequence(base::mix(std::uint64_t(seed) << 32 | number));
     std::vector<std::pair<std::uint64_t, glm::dvec2>> order;
     for (std::uint32_t i = 0; i < samples; ++i) {
         const glm::dvec2 u = samples == 1 ? glm::dvec2(0.5) : sequence(i);
         order.emplace_back(placeOf(u), u);
     }
-    std::sort(order.begin(), order.end(),
-              [](const auto& a, const auto& b) { return a.first < b.first; });
+    const auto byPlace = [](const auto& a, const auto& b) { return a.first < b.first; };
+    const auto others = order.begin() + std::min(probe, samples);
+    std::sort(order.begin(), others, byPlace);
+    std::sort(others, order.end(), byPlace);
     std::vector<glm::dvec2> points;
     for (const auto& [place, u] : order)
         points.push_back(u);
@@ -546,7 +583,9 @@ LightRays::Points makePoints(const LightRays::Setting& setting,
     points.groups.assign(points.each / trace::kLanes, none);
     for (std::uint32_t p = 0; p < points.patterns; ++p) {
         const std::uint32_t number = setting.onlyKey ? *setting.onlyKey % kPatterns : p;
-        for (const glm::dvec2 u : pattern(number, setting.seed, setting.samples)) {
+        for (const glm::dvec2 u :
+             pattern(number, setting.seed, setting.samples,
+                     setting.probe ? std::uint32_t(trace::kLanes) : 0u)) {
             const glm::dvec2 at = domain == light::LightView::Domain::square
                                       ? 2.0 * u - 1.0
                                       : light::sampleDisk(u);

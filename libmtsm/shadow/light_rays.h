@@ -56,6 +56,7 @@ class LightRays {
         std::uint32_t samples = 1;
         std::uint32_t seed = 0;
         bool normals = false, weights = false;
+        bool probe = false;  ///< the first group is a sample of all of the light
         bool media = false;  ///< RayBundle::begin is of media, beginSurfaces matters
         double height = 0.0;
         double nearDepth = 0.0, nearHeight = 0.0, nearStart = 1.0;

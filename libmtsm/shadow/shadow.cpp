@@ -47,6 +47,57 @@ void answerEach(const shadow::Query& query, const glm::dvec3* points,
     base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
 }
 
+/// Points of a batch, those of which a probe does not tell enough put together anew.
+template <typename Take>
+class Groups {
+  public:
+    Groups(const shadow::BundleQuery& bundles, QueryStats& stats, const Take& take)
+        : bundles_(bundles), stats_(stats), take_(take) {}
+
+    /// Up to 16 of them: all with normals, or none.
+    void add(const shadow::BundleQuery::Receiver* receivers, const std::size_t* points,
+             std::size_t count) {
+        using Part = shadow::BundleQuery::Part;
+        shadow::BundleQuery::Sums sums[trace::kMostReceivers];
+        const bool probes = bundles_.probes();
+        bundles_.look(receivers, int(count), probes ? Part::probe : Part::all, sums,
+                      stats_);
+        // Those that wait have normals as well, or none has.
+        if (waiting_ > 0 && shadow::saysSomething(receivers[0].normal) !=
+                                shadow::saysSomething(receivers_[0].normal))
+            finish();
+        for (std::size_t k = 0; k < count; ++k) {
+            if (!probes || !shadow::BundleQuery::isMixed(sums[k])) {
+                take_(points[k], bundles_.factorsOf(sums[k], probes));
+                continue;
+            }
+            receivers_[waiting_] = receivers[k];
+            points_[waiting_] = points[k];
+            sums_[waiting_++] = sums[k];
+            if (waiting_ == trace::kMostReceivers) finish();
+        }
+    }
+
+    /// The points that still wait.
+    void finish() {
+        if (waiting_ == 0) return;
+        bundles_.look(receivers_, int(waiting_), shadow::BundleQuery::Part::others, sums_,
+                      stats_);
+        for (std::size_t k = 0; k < waiting_; ++k)
+            take_(points_[k], bundles_.factorsOf(sums_[k], false));
+        waiting_ = 0;
+    }
+
+  private:
+    const shadow::BundleQuery& bundles_;
+    QueryStats& stats_;
+    const Take& take_;
+    shadow::BundleQuery::Receiver receivers_[trace::kMostReceivers];
+    std::size_t points_[trace::kMostReceivers];
+    shadow::BundleQuery::Sums sums_[trace::kMostReceivers];
+    std::size_t waiting_ = 0;
+};
+
 /// The same, neighbours together.
 template <typename Take>
 void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles,
@@ -56,29 +107,25 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
     std::mutex mutex;
     const auto answer = [&](std::size_t begin, std::size_t end) {
         QueryStats part;
+        Groups groups(bundles, part, take);
         for (std::size_t first = begin; first < end;) {
             const shadow::ReceiverOrder::Group group = order.group(first, end);
             shadow::BundleQuery::Receiver receivers[trace::kMostReceivers];
-            glm::vec3 factors[trace::kMostReceivers];
+            std::size_t indices[trace::kMostReceivers];
             for (std::size_t k = 0; k < group.count; ++k) {
-                const std::size_t i = order[first + k];
+                const std::size_t i = indices[k] = order[first + k];
                 receivers[k].point = points[i];
                 if (normals && shadow::saysSomething(normals[i]))
                     receivers[k].normal = normals[i];
+                if (group.bundled)
+                    query.count(points[i], part);
+                else
+                    take(i, query.shadowFactor(points[i], receivers[k].normal, part));
             }
-            if (group.bundled) {
-                for (std::size_t k = 0; k < group.count; ++k)
-                    query.count(receivers[k].point, part);
-                bundles.shadowFactors(receivers, int(group.count), factors, part);
-            }
-            for (std::size_t k = 0; k < group.count; ++k) {
-                take(order[first + k],
-                     group.bundled ? factors[k]
-                                   : query.shadowFactor(receivers[k].point,
-                                                        receivers[k].normal, part));
-            }
+            if (group.bundled) groups.add(receivers, indices, group.count);
             first += group.count;
         }
+        groups.finish();
         const std::lock_guard lock(mutex);
         add(stats, part);
     };

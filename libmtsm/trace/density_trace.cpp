@@ -296,8 +296,10 @@ void Kernel::setUp(const RayBundle& bundle, int row) {
                    dw = hn::Load(d, bundle.dw[row] + i);
         auto begin = hn::Load(d, bundle.begin[row] + i);
         auto beginSurfaces = hn::Load(d, bundle.beginSurfaces[row] + i);
+        // At s = 1. What closes a tilted sheet darkens it the more the larger texels are.
+        const float part = sheets_ ? 0.5f : 1.0f;
         const auto texel =
-            hn::Mul(hn::Set(d, bundle.spread[receiver]), hn::Abs(dw));  // at s = 1
+            hn::Mul(hn::Set(d, part * bundle.spread[receiver]), hn::Abs(dw));
         auto open = maskOf(d, std::uint32_t(bundle.open[row]) >> i);
         const auto check = [&](auto x) {
             open = hn::And(open, hn::Lt(hn::Abs(x), most));  // false for NaN
@@ -466,7 +468,7 @@ void Kernel::answer(const DensityPyramid& pyramid, int level, Hits& hits,
             const auto slab =
                 hn::BitCast(d, hn::IfThenElseZero(valid, hn::LoadU(du, at)));
             const auto bits = hn::IfThenElseZero(valid, hn::LoadU(du, at += texel.count));
-            const auto length = hn::BitCast(d, hn::And(bits, upper));
+            const auto length = hn::BitCast(d, hn::ShiftRight<1>(hn::And(bits, upper)));
             const auto from = hn::Max(low, slab);
             const auto to = hn::Min(high, hn::Add(slab, length));
             const auto within = hn::Max(hn::Sub(to, from), hn::Zero(d));
@@ -474,7 +476,8 @@ void Kernel::answer(const DensityPyramid& pyramid, int level, Hits& hits,
                 hn::Store(hn::MulAdd(within, hn::BitCast(d, density), hn::Load(d, total)),
                           d, total);
             };
-            add(hn::ShiftLeft<DensityLevel::kDensityShift>(bits), sum[0][ray]);
+            add(hn::ShiftLeft<DensityLevel::kDensityShift>(hn::AndNot(upper, bits)),
+                sum[0][ray]);
             for (std::uint32_t c = 1; c < channels; ++c)
                 add(hn::IfThenElseZero(valid, hn::LoadU(du, at += texel.count)),
                     sum[c][ray]);
@@ -522,7 +525,8 @@ void Kernel::answerSheets(int level) {
             };
             const auto slab = hn::BitCast(d, plane(0));
             const auto bits = plane(1);
-            const auto slabEnd = hn::Add(slab, hn::BitCast(d, hn::And(bits, upper)));
+            const auto slabEnd =
+                hn::Add(slab, hn::BitCast(d, hn::ShiftRight<1>(hn::And(bits, upper))));
             const auto length = hn::Sub(slabEnd, slab);
             const auto perLength =
                 hn::Div(hn::Set(d, 1.0f), hn::Max(length, hn::Set(d, 1e-31f)));
@@ -541,9 +545,10 @@ void Kernel::answerSheets(int level) {
             goesOn = hn::Add(goesOn, hn::Min(met, left));
             goesOnIfKnown = hn::Add(goesOnIfKnown, hn::Min(hn::Max(met, entered), left));
             for (std::uint32_t c = 0; c < channels; ++c) {
-                const auto density = hn::BitCast(
-                    d, c == 0 ? hn::ShiftLeft<DensityLevel::kDensityShift>(bits)
-                              : plane(c + 1));
+                const auto density =
+                    hn::BitCast(d, c == 0 ? hn::ShiftLeft<DensityLevel::kDensityShift>(
+                                                hn::AndNot(upper, bits))
+                                          : plane(c + 1));
                 const auto depth = hn::Mul(density, length);
                 depthMet[c] += total(hn::Mul(depth, met));
                 depthNear[c] += total(hn::Mul(depth, hn::Min(met, entered)));

@@ -23,9 +23,10 @@
 // - beginSurfaces: the s of the point kStartBiases times the bias from P, or where the
 //   ray is clear of the receiver's plane. What is in front of `begin` does not count
 //   either way.
-// - spread: a texel at s may be as large as spread dw s pixels, as far as neighbouring
-//   rays are apart there (tests/bench/NOTES.md). A ray that comes from another face
-//   begins where it enters this one: its texels are then finer than they need be.
+// - spread: a texel at s may be as large as spread dw s pixels (half of that for sheets),
+//   as far as neighbouring rays are apart there (tests/bench/NOTES.md). A ray that comes
+//   from another face begins where it enters this one: its texels are then finer than
+//   they need be.
 // Rays that are not finite, and lanes whose open bit is not set, meet nothing.
 //
 // How a ray goes. At s it walks the texels of the level whose texels are at most so

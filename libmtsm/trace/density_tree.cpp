@@ -39,18 +39,19 @@ float thinnest(float low) {
     return std::max(kThinnest * std::abs(low), 1e-30f);
 }
 
-// Two floats >= 0 in a word: the upper 13 bits of one, which is not made smaller, and the
-// lower 19 bits of the other without its last 13 (and without its sign).
+// Two floats >= 0 in a word, both without their sign: the upper 15 bits of one, which is
+// not made smaller, and the upper 17 bits of the other.
 std::uint32_t packed(float length, float density) {
-    const std::uint32_t upper = (std::bit_cast<std::uint32_t>(length) + 0x7ffffu) >> 19;
+    const std::uint32_t upper = (std::bit_cast<std::uint32_t>(length) + 0xffffu) >> 16;
     const auto bits = std::bit_cast<std::uint32_t>(density);
-    return upper << 19 | (bits + 0xfffu + (bits >> 13 & 1u)) >> 13;
+    return upper << 17 | (bits + 0x1fffu + (bits >> 14 & 1u)) >> 14;
 }
 float lengthOf(std::uint32_t word) {
-    return std::bit_cast<float>(word & DensityLevel::kLengthBits);
+    return std::bit_cast<float>((word & DensityLevel::kLengthBits) >> 1);
 }
 float densityOf(std::uint32_t word) {
-    return std::bit_cast<float>(word << DensityLevel::kDensityShift);
+    return std::bit_cast<float>((word & ~DensityLevel::kLengthBits)
+                                << DensityLevel::kDensityShift);
 }
 
 /// Words of a slab.

@@ -20,6 +20,10 @@ constexpr float kSteepest = 3.0f;
 /// the flattest first.
 constexpr std::array kTolerances = {1.0f, 4.0f};
 
+/// PatchTree::Options::flatness of the trees of queries: what is close to receivers must
+/// be more exact if no near field answers for it (tests/bench/NOTES.md).
+constexpr float kFlatAlone = 0.3f, kFlatBesideNearField = 3.0f;
+
 /// Sums over samples, enough to fit a plane to them.
 struct Moments {
     double n = 0, u = 0, v = 0, w = 0, uu = 0, uv = 0, vv = 0, uw = 0, vw = 0;
@@ -136,24 +140,34 @@ PatchGroup emptyGroup() {
     return g;
 }
 
+/// Texels that are covered in part reach out of the pixels' box.
+Box wholeTexels(const Node& node) {
+    if (!node.shared) return node.box;
+    const auto texel = float(1u << node.level);
+    const auto down = [texel](float x) { return std::floor(x / texel) * texel; };
+    const auto up = [texel](float x) { return std::ceil(x / texel) * texel; };
+    return {down(node.box.u0), down(node.box.v0), up(node.box.u1), up(node.box.v1)};
+}
+
 void store(const Node& node, PatchGroup& g, int i) {
+    const Box box = wholeTexels(node);
     g.high[i] = node.high;
     g.low[i] = node.low;
-    g.w[i] = float(node.plane.w);
     g.gradientU[i] = float(node.plane.gradientU);
     g.gradientV[i] = float(node.plane.gradientV);
     g.residual[i] = node.residual;
-    g.u[i] = 0.5f * (node.box.u0 + node.box.u1);
-    g.v[i] = 0.5f * (node.box.v0 + node.box.v1);
-    g.halfU[i] = 0.5f * (node.box.u1 - node.box.u0);
-    g.halfV[i] = 0.5f * (node.box.v1 - node.box.v0);
+    g.u[i] = 0.5f * (box.u0 + box.u1);
+    g.v[i] = 0.5f * (box.v0 + box.v1);
+    g.halfU[i] = 0.5f * (box.u1 - box.u0);
+    g.halfV[i] = 0.5f * (box.v1 - box.v0);
+    g.w[i] = float(node.plane.at(g.u[i], g.v[i]));
     g.texel[i] = node.shared ? float(1u << node.level) : 0.0f;
     g.children[i] = node.children;
     g.childGroups[i] = node.childGroups;
     g.cover[i] = node.cover;
     g.level[i] = node.level;
     g.shared[i] = node.shared;
-    g.sheet[i] = node.sheet;
+    g.sheet[i] = node.sheet && box.area() == node.box.area();
 }
 
 /// Appends nodes in groups of four; the first group's index.
@@ -321,6 +335,10 @@ class TilePieces {
                 if (!inside.empty()) quarters.push_back(emit(inside, part, likely, made));
             }
             if (quarters.size() == 1) return quarters[0];
+            for (const Node& quarter : quarters) {  // they may be steeper
+                node.low = std::min(node.low, quarter.low);
+                node.high = std::max(node.high, quarter.high);
+            }
             const PatchTree::Entry children =
                 append(made.groups, quarters.size(),
                        [&](std::size_t i) -> const Node& { return quarters[i]; });
@@ -344,7 +362,6 @@ class TilePieces {
             node.moments.add(u_ + x + 0.5, v_ + y + 0.5, s.w);
             x0 = std::min(x0, x), y0 = std::min(y0, y);
             x1 = std::max(x1, x + 1), y1 = std::max(y1, y + 1);
-            low = std::min(low, s.w), high = std::max(high, s.w);
         }
         node.box = {u_ + x0, v_ + y0, u_ + x1, v_ + y1};
         node.plane = fit(node.moments, likely,
@@ -354,6 +371,8 @@ class TilePieces {
             const double on =
                 node.plane.at(u_ + (s.pixel & 15) + 0.5, v_ + (s.pixel >> 4) + 0.5);
             node.residual = std::max(node.residual, std::abs(float(s.w - on)));
+            low = std::min({low, s.w, float(on)}),
+            high = std::max({high, s.w, float(on)});
         }
         const auto reach = float(
             0.5 * (std::abs(node.plane.gradientU) + std::abs(node.plane.gradientV)));
@@ -547,6 +566,7 @@ class Coarsening {
         for (std::uint32_t i = 0; i < 256; ++i) {
             if (counts[i] == 0) continue;
             if (counts[i] < full) node.shared = true;
+            includeTexel(node, x + i % kTexels * texel, y + i / kTexels * texel, texel);
             const std::uint32_t share = sixteenths(counts[i], full, i, x + y);
             for (int k = 0; k < 4; ++k) {
                 if (share >> k & 1)
@@ -554,6 +574,18 @@ class Coarsening {
             }
         }
         made.covers.insert(made.covers.end(), planes, planes + (node.shared ? 4 : 1));
+    }
+
+    /// Rays meet the plane there.
+    static void includeTexel(Node& node, std::uint32_t x, std::uint32_t y,
+                             std::uint32_t texel) {
+        const Plane& plane = node.plane;
+        const double half = 0.5 * texel;
+        const double reach =
+            half * (std::abs(plane.gradientU) + std::abs(plane.gradientV));
+        const double w = plane.at(x + half, y + half);
+        node.low = std::min(node.low, float(w - reach));
+        node.high = std::max(node.high, float(w + reach));
     }
 
     /// Covered pixels of a texel.
@@ -621,11 +653,30 @@ class PatchBuilder {
             tree_.lowest_ = std::min(tree_.lowest_, n.low);
             tree_.highest_ = std::max(tree_.highest_, n.high);
         }
+        growBounds();
         tree_.covers_.emplace_back();  // kernels read a little further
         return std::move(tree_);
     }
 
   private:
+    /// By what a ray's place and depth are rounded, so that no bound passes over what a
+    /// ray meets: answers must not depend on which bounds it was tested against.
+    void growBounds() {
+        const auto margin =
+            float(std::max(map_.info().width, map_.info().height)) * 0x1p-19f;
+        for (PatchGroup& g : tree_.groups_) {
+            for (int i = 0; i < 4; ++i) {
+                if (g.high[i] == kNever) continue;
+                g.halfU[i] += margin;
+                g.halfV[i] += margin;
+                const float depth =
+                    std::max(std::abs(g.low[i]), std::abs(g.high[i])) * 0x1p-18f;
+                g.low[i] -= depth;
+                g.high[i] += depth;
+            }
+        }
+    }
+
     LevelNodes pieces() {
         LevelNodes level;
         level.side = kTexels;
@@ -717,10 +768,7 @@ const std::vector<PatchTree>& patchTrees(const ShadowMap& map) {
         for (std::uint32_t face = 0; face < map.faceCount(); ++face)
             trees.push_back(PatchTree::build(
                 map, face,
-                {.flatness =
-                     map.nearField(face).empty()
-                         ? 0.3f
-                         : (getenv("FLAT") ? float(atof(getenv("FLAT"))) : 2.0f)}));
+                {map.nearField(face).empty() ? kFlatAlone : kFlatBesideNearField}));
         return trees;
     });
 }

@@ -29,7 +29,7 @@ struct alignas(16) PatchGroup {
     float high[4], low[4];  ///< all of the patch's surface lies between, corners included
     float w[4], gradientU[4], gradientV[4];  ///< plane: depth at the box's centre, slope
     float residual[4];                       ///< largest distance from the plane, in w
-    float u[4], v[4], halfU[4], halfV[4];    ///< box: centre, half sides
+    float u[4], v[4], halfU[4], halfV[4];    ///< box of its texels: centre, half sides
     float texel[4];  ///< side of a texel that is partly covered, pixels; 0: none is
     std::uint32_t children[4];     ///< first group
     std::uint32_t childGroups[4];  ///< 0: a leaf

@@ -144,6 +144,42 @@ TEST_CASE("stacked sheets become layers with the products of their opacities",
     CHECK(held + nearest.map.info().samplesDropped == b.map.info().samples);
 }
 
+TEST_CASE("depths are rounded far within the z threshold, unless every bit is asked for",
+          "[bake]") {
+    Casters casters({test::bumpyBall(40), square(-2, 3)});
+    BakeOptions o = lamp();
+    const Baked rounded = mustBake(casters, o);
+    o.rounding = 0.0f;
+    const Baked exact = mustBake(casters, o);
+    REQUIRE(rounded.map.layerCount() == exact.map.layerCount());
+    const MapInfo& info = rounded.map.info();
+    double worst = 0.0;  // in z thresholds
+    for (std::uint32_t y = 0; y < 64; ++y) {
+        for (std::uint32_t x = 0; x < 64; ++x) {
+            const PixelLayers a = rounded.map.pixel(0, x, y),
+                              b = exact.map.pixel(0, x, y);
+            REQUIRE(a.count == b.count);
+            for (std::uint32_t k = 0; k < a.count; ++k) {
+                const double threshold = double(info.biasPerDepth) * b.z[k];
+                worst = std::max(worst, std::abs(double(a.z[k]) - b.z[k]) / threshold);
+            }
+        }
+    }
+    CHECK(worst > 0.0);
+    CHECK(worst <= 1.0 / 64);
+    REQUIRE(info.attributes.size() >= 1);
+    CHECK(info.attributes.back().name == "rounding");
+    CHECK(std::get<std::vector<double>>(info.attributes.back().value) ==
+          std::vector<double>{1.0 / 64});
+    for (const Attribute& attribute : exact.map.info().attributes)
+        CHECK(attribute.name != "rounding");
+    // Lossless is lossless.
+    o.rounding.reset();
+    o.tolerance = 0.0f;
+    CHECK(mustBake(casters, o).map.pixel(0, 30, 33).z[0] ==
+          exact.map.pixel(0, 30, 33).z[0]);
+}
+
 TEST_CASE("culling follows the face, mirrored objects included", "[bake]") {
     Mesh up = square(0, 1), down = square(1, 1);
     for (std::size_t i = 0; i < down.indices.size(); i += 3)

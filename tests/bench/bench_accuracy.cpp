@@ -38,7 +38,7 @@ struct Options {
     std::vector<double> lights{0.07, 0.25, 0.67};
     // Maps: every combination.
     std::vector<std::uint32_t> resolutions{1024}, layers, subsamples{1};
-    std::vector<float> tolerances;
+    std::vector<float> tolerances, roundings;
     std::optional<float> opticalDepth, layerLength;
     // Queries: every combination.
     std::vector<int> samples{256};
@@ -274,17 +274,17 @@ class Bench {
             for (const std::uint32_t subsamples : options_.subsamples) {
                 for (const auto& layers : optionals(options_.layers)) {
                     for (const auto& tolerance : optionals(options_.tolerances)) {
-                        BakeOptions bakeOptions;
-                        bakeOptions.light = light;
-                        bakeOptions.width = bakeOptions.height = resolution;
-                        bakeOptions.subsamples = subsamples;
-                        bakeOptions.layers = layers;
-                        if (tolerance) bakeOptions.tolerance = *tolerance;
-                        if (options_.opticalDepth)
-                            bakeOptions.layerOpticalDepth = *options_.opticalDepth;
-                        if (options_.layerLength)
-                            bakeOptions.layerLength = *options_.layerLength;
-                        worst = std::max(worst, measureMap(bakeOptions, probes, table));
+                        for (const auto& rounding : optionals(options_.roundings)) {
+                            BakeOptions bakeOptions;
+                            bakeOptions.light = light;
+                            bakeOptions.width = bakeOptions.height = resolution;
+                            bakeOptions.subsamples = subsamples;
+                            bakeOptions.layers = layers;
+                            bakeOptions.rounding = rounding;
+                            if (tolerance) bakeOptions.tolerance = *tolerance;
+                            worst =
+                                std::max(worst, measureMap(bakeOptions, probes, table));
+                        }
                     }
                 }
             }
@@ -297,8 +297,10 @@ class Bench {
         return {values.begin(), values.end()};
     }
 
-    int measureMap(const BakeOptions& bakeOptions, const std::vector<Probe>& probes,
+    int measureMap(BakeOptions bakeOptions, const std::vector<Probe>& probes,
                    Table& table) {
+        if (options_.opticalDepth) bakeOptions.layerOpticalDepth = *options_.opticalDepth;
+        if (options_.layerLength) bakeOptions.layerLength = *options_.layerLength;
         std::string name = std::to_string(bakeOptions.width);
         if (bakeOptions.layers) name += " l" + std::to_string(*bakeOptions.layers);
         if (bakeOptions.subsamples > 1)
@@ -308,6 +310,12 @@ class Bench {
             std::snprintf(tolerance, sizeof tolerance, " t%g",
                           double(bakeOptions.tolerance));
             name += tolerance;
+        }
+        if (options_.roundings.size() > 1) {
+            char rounding[32];
+            std::snprintf(rounding, sizeof rounding, " r%g",
+                          double(*bakeOptions.rounding));
+            name += rounding;
         }
         const double start = seconds();
         auto baked = bake(casters_, bakeOptions);
@@ -412,6 +420,8 @@ int main(int argc, char** argv) {
     app.add_option("--subsamples", options.subsamples, "Centre rays per side of a pixel")
         ->delimiter(',');
     app.add_option("--tolerance", options.tolerances, "Of the map (default: as the bake)")
+        ->delimiter(',');
+    app.add_option("--rounding", options.roundings, "Of the map (default: as the bake)")
         ->delimiter(',');
     app.add_option("--optical-depth", options.opticalDepth, "A layer's at most");
     app.add_option("--layer-length", options.layerLength,

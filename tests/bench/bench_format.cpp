@@ -3,8 +3,11 @@
 
 #include <filesystem>
 #include <string>
+#include <vector>
 
 #include "bumpy_mesh.h"
+#include "format/tile_decode.h"
+#include "format/tile_encode.h"
 #include "mtsm/bake.h"
 #include "mtsm/reader.h"
 #include "mtsm/writer.h"
@@ -70,6 +73,35 @@ void readFile(benchmark::State& state) {
     std::filesystem::remove(path);
 }
 
+/// Tiles alone, on one core, without what reading a file has to do besides.
+void decodeTiles(benchmark::State& state) {
+    const ShadowMap& m = map();
+    format::TileEncoder encoder(Codec::zstd, int(state.range(0)));
+    std::vector<format::Bytes> payloads;
+    std::vector<format::TileFacts> facts;
+    std::uint64_t bytes = 0;
+    for (std::uint32_t ty = 0; ty < m.tilesY(); ++ty) {
+        for (std::uint32_t tx = 0; tx < m.tilesX(); ++tx) {
+            const Tile& tile = m.tile(0, tx, ty);
+            if (tile.empty()) continue;
+            const format::TilePlace place{0, tx, ty, m.tileWidth(tx), m.tileHeight(ty)};
+            payloads.push_back(encoder.encode(tile, place, 1));
+            facts.push_back(
+                {place, 1, std::uint32_t(tile.z.size()), format::planesNeeded(tile)});
+            bytes += payloads.back().size();
+        }
+    }
+    format::TileDecoder decoder;
+    for (auto _ : state) {
+        for (std::size_t i = 0; i < payloads.size(); ++i) {
+            auto tile = decoder.decode(payloads[i], facts[i]);
+            if (!tile) state.SkipWithError("cannot decode");
+            benchmark::DoNotOptimize(tile);
+        }
+    }
+    report(state, bytes);
+}
+
 }  // namespace
 
 // The argument is zstd's level; 0 writes every plane raw.
@@ -83,3 +115,4 @@ BENCHMARK(writeFile)
     ->Unit(benchmark::kMillisecond);
 BENCHMARK(readFile)->ArgName("zstd")->Arg(0)->Arg(1)->Arg(3)->Arg(9)->UseRealTime()->Unit(
     benchmark::kMillisecond);
+BENCHMARK(decodeTiles)->ArgName("zstd")->Arg(1)->Arg(3)->Unit(benchmark::kMillisecond);

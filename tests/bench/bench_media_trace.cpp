@@ -3,13 +3,14 @@
 //     bench_media_trace MAP.mtsm [DEPTH LENGTH]...
 //
 // Points are taken within what lets light through (at layers of the map) and behind it,
-// 16 neighbours a group, groups anywhere. Truth is the definition with 1024 rays a point;
-// errors are those of points and of the means of groups (16 points of a pixel, say), and
-// of rays against the same ray by the definition. Rows: how much of the light's diameter
-// a texel may be; whole trees, those without level 0, and those whose slabs are merged up
-// to the DEPTH and LENGTH given (DensityOptions). Rays: one per cell of the light. Times
-// are medians of 5 runs in turn with the others', of processor time; a bundle's making is
-// not in them. A tree's is by the clock, with all threads.
+// 16 neighbours a group, groups anywhere; a bundle has the rays of a group. Truth is the
+// definition with 1024 rays a point; errors are those of points and of the means of
+// groups (16 points of a pixel, say), and of rays against the same ray by the definition.
+// Rows: how much of the light's diameter a texel may be; whole trees, those without level
+// 0, and those whose slabs are merged up to the DEPTH and LENGTH given (DensityOptions).
+// Rays: one per cell of the light. Times are medians of 5 runs in turn with the others',
+// of processor time; a bundle's making is not in them. A tree's is by the clock, with all
+// threads.
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
@@ -105,7 +106,7 @@ Ray rayOf(const Scene& scene, glm::dvec3 point, glm::dvec2 u) {
     return ray;
 }
 
-/// One ray per cell of the light, the same cell for all lanes of a block.
+/// One ray per cell of the light: [cell * kLanes + point].
 std::vector<Ray> raysOf(const Scene& scene, const Group& group, int cells,
                         std::uint64_t seed) {
     const int side = int(std::lround(std::sqrt(cells)));
@@ -145,7 +146,7 @@ struct Row {
     double point = 0.0, group = 0.0, bias = 0.0, ray = 0.0;
 };
 
-/// [group][cell * kLanes + lane]
+/// [group][cell * kLanes + point]
 using Rays = std::vector<std::vector<Ray>>;
 using Visibilities = std::vector<std::vector<double>>;
 
@@ -158,6 +159,16 @@ double defined(const Scene& scene, const Rays& rays, Visibilities& out) {
     return secondsSince(start);
 }
 
+/// Where a bundle has the rays of a group: a row's come from 4 x 4 cells of the light.
+struct Place {
+    int receiver, group, lane;
+};
+
+Place placeOf(std::size_t ray, int side) {
+    const int cell = int(ray) / kLanes, x = cell % side, y = cell / side;
+    return {int(ray) % kLanes, y / 4 * (side / 4) + x / 4, y % 4 * 4 + x % 4};
+}
+
 double traced(const Scene& scene, const Row& row, const Rays& rays, Visibilities& out) {
     const Projection& p = scene.map.projection(0);
     const double zNear = test::nearestOf(scene.map, 0);
@@ -165,17 +176,24 @@ double traced(const Scene& scene, const Row& row, const Rays& rays, Visibilities
     const auto depths = std::make_unique<RayDepths>();
     double seconds = 0.0;
     for (std::size_t g = 0; g < rays.size(); ++g) {
+        const int cells = int(rays[g].size()) / kLanes;
+        const int side = int(std::lround(std::sqrt(cells)));
         *bundle = {};
-        bundle->blocks = int(rays[g].size()) / kLanes;
-        for (std::size_t r = 0; r < rays[g].size(); ++r)
-            test::put(*bundle, int(r) / kLanes, int(r) % kLanes,
+        bundle->receivers = kLanes;
+        bundle->groups = std::max(1, cells / kLanes);
+        for (std::size_t r = 0; r < rays[g].size(); ++r) {
+            const Place at = placeOf(r, side);
+            test::put(*bundle, at.receiver, at.group, at.lane,
                       test::straighten(p, rays[g][r], zNear, row.texel));
+        }
         const auto start = Clock::now();
         *depths = {};
         traceDensity(*row.tree, {scene.options.bias}, *bundle, *depths);
         seconds += secondsSince(start);
         for (std::size_t r = 0; r < rays[g].size(); ++r) {
-            const double v = std::exp(-depths->depth[0][r / kLanes][r % kLanes]);
+            const Place at = placeOf(r, side);
+            const int inRow = bundle->row(at.receiver, at.group);
+            const double v = std::exp(-depths->depth[0][inRow][at.lane]);
             out[g][r] = v <= kThreshold ? 0.0 : v;
         }
     }

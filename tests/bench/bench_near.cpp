@@ -4,39 +4,46 @@
 //     bench_near [RESOLUTION]
 //
 // A body of 350,000 triangles under a disk light. Receivers are the 16 points of 4 x 4
-// pixels of the map, where the light's centre sees the body; each sends a ray to a point
-// of each cell of the light. What counts is met from 1 footprint of a pixel in front of
-// the receiver to `reach` of them, as depth goes.
+// pixels of the map, where the light's centre sees the body; each sends 16 rays to each
+// of `parts` sectors of the light. What counts is met from 1 footprint of a pixel in
+// front of the receiver to `reach` of them, as depth goes. With planes, only what rises
+// above the receiver's tangent plane (of its neighbours' depths) counts, as in queries
+// with normals; Embree knows no such thing.
 #include <embree3/rtcore.h>
 
 #include <algorithm>
 #include <bit>
-#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <ctime>
 #include <memory>
 #include <random>
 #include <vector>
 
 #include "bumpy_mesh.h"
 #include "mtsm/bake.h"
+#include "trace/bundle_fixture.h"
 #include "trace/near_trace.h"
 
 namespace {
 
 using namespace mtsm;
 using trace::kLanes;
-using trace::RayBundle;
 
 constexpr int kGroups = 400;
 constexpr int kRepeats = 7;
 
+/// Most parts that a bundle of 16 receivers holds.
+constexpr int kParts = trace::kMostRows / kLanes;
+/// As in queries, pixel footprints.
+constexpr double kPlaneHeight = 0.02;
+
 struct Group {
-    RayBundle bundle{};
-    alignas(64) float end[trace::kMostBlocks][kLanes]{};
-    std::vector<RTCRay16> packets;  // by block: the same rays in the world
+    std::vector<test::Rays> bundles;  // kParts parts each
+    std::vector<RTCRay16> packets;    // the same rays in the world
+    float planeHeight = 0.0f;
 };
 
 ShadowMap bakedMap(const test::Mesh& body, std::uint32_t resolution) {
@@ -71,63 +78,89 @@ RTCScene sceneOf(RTCDevice device, const test::Mesh& body) {
     return scene;
 }
 
-/// Rays of 4 x 4 pixels to `cells` points of a light of this radius.
+/// Where the centre ray of a pixel meets the body, in straight space.
+glm::dvec3 straightAt(const ShadowMap& map, std::uint32_t x, std::uint32_t y) {
+    return {x + 0.5, y + 0.5, 1.0 / map.pixel(0, x, y).z[0]};
+}
+
+/// The receiver of a pixel, and the plane through its neighbours.
+void setReceiver(const ShadowMap& map, std::uint32_t x, std::uint32_t y, int receiver,
+                 test::Rays& rays) {
+    const glm::dvec3 at = straightAt(map, x, y);
+    rays.setStart(receiver, at);
+    const double perU = straightAt(map, x + 1, y).z - at.z;
+    const double perV = straightAt(map, x, y + 1).z - at.z;
+    rays.bundle.planeU[receiver] = float(-perU);
+    rays.bundle.planeV[receiver] = float(-perV);
+    rays.bundle.planeW[receiver] = 1.0f;
+}
+
+/// A ray to a point of light space, what of it counts, and the same for Embree.
+void setRay(const Projection& p, glm::dvec3 from, glm::dvec3 to, double reach, int row,
+            int lane, test::Rays& rays, RTCRay16& packet) {
+    const int receiver = row / rays.bundle.groups;
+    rays.setDelta(row, lane,
+                  glm::dvec3(p.rasterFromLight(to), 1.0 / to.z) - rays.start(receiver));
+    // s of straight space and t of the world at so many footprints.
+    const double step = p.pixelFootprint(from.z);
+    const auto s = [&](double footprints) {
+        const double w = 1.0 / (from.z - footprints * step) - 1.0 / from.z;
+        return float(w / rays.bundle.dw[row][lane]);
+    };
+    const auto t = [&](double footprints) {
+        return float(footprints * step / (from.z - to.z));
+    };
+    rays.bundle.begin[row][lane] = s(1.0);
+    rays.end[row][lane] = std::min(1.0f, s(reach));
+    const glm::dvec3 origin = p.worldFromLight(from);
+    const glm::dvec3 way = p.worldFromLight(to) - origin;
+    packet.org_x[lane] = float(origin.x);
+    packet.org_y[lane] = float(origin.y);
+    packet.org_z[lane] = float(origin.z);
+    packet.dir_x[lane] = float(way.x);
+    packet.dir_y[lane] = float(way.y);
+    packet.dir_z[lane] = float(way.z);
+    packet.tnear[lane] = t(1.0);
+    packet.tfar[lane] = std::min(1.0f, t(reach));
+    packet.time[lane] = 0.0f;
+    packet.mask[lane] = ~0u;
+    packet.id[lane] = packet.flags[lane] = 0;
+}
+
+/// Rays of 4 x 4 pixels to a light of this radius.
 std::unique_ptr<Group> groupAt(const ShadowMap& map, std::uint32_t x, std::uint32_t y,
-                               int cells, double radius, double reach,
+                               int parts, double radius, double reach,
                                std::mt19937_64& random) {
     const auto unit = [&] { return double(random() >> 11) * 0x1p-53; };
-    const Projection& p = map.projection(0);
-    auto group = std::make_unique<Group>();
-    group->bundle.blocks = cells;
-    group->packets.resize(std::size_t(cells));
-    glm::dvec3 receiver[kLanes];  // light space
-    for (std::uint32_t i = 0; i < kLanes; ++i) {
-        const std::uint32_t px = x + i % 4, py = y + i / 4;
-        const PixelLayers layers = map.pixel(0, px, py);
-        if (layers.count == 0) return nullptr;
-        const glm::dvec2 centre(px + 0.5, py + 0.5);
-        receiver[i] = p.lightFromRaster(centre, layers.z[0]);
-        group->bundle.u[i] = float(centre.x);
-        group->bundle.v[i] = float(centre.y);
-        group->bundle.w[i] = float(1.0 / receiver[i].z);
+    for (std::uint32_t i = 0; i < 25; ++i) {
+        if (map.pixel(0, x + i % 5, y + i / 5).count == 0) return nullptr;
     }
+    const Projection& p = map.projection(0);
     const glm::dvec3 lamp = p.lightFromWorld(map.info().light.position);
-    for (int b = 0; b < cells; ++b) {
-        for (int i = 0; i < kLanes; ++i) {
-            const double turn = 6.283185307179586 * (b + unit()) / cells;
-            const double r = radius * std::sqrt(unit());
-            const glm::dvec3 to =
-                lamp + r * glm::dvec3(std::cos(turn), std::sin(turn), 0.0);
-            const glm::dvec2 raster = p.rasterFromLight(to);
-            RayBundle& rays = group->bundle;
-            rays.du[b][i] = float(raster.x) - rays.u[i];
-            rays.dv[b][i] = float(raster.y) - rays.v[i];
-            rays.dw[b][i] = float(1.0 / to.z) - rays.w[i];
-            // s of straight space and t of the world at so many footprints.
-            const double z = receiver[i].z, step = p.pixelFootprint(z);
-            const auto s = [&](double footprints) {
-                return float((1.0 / (z - footprints * step) - 1.0 / z) / rays.dw[b][i]);
-            };
-            const auto t = [&](double footprints) {
-                return float(footprints * step / (z - to.z));
-            };
-            rays.begin[b][i] = s(1.0);
-            group->end[b][i] = std::min(1.0f, s(reach));
-            RTCRay16& packet = group->packets[std::size_t(b)];
-            const glm::dvec3 origin = p.worldFromLight(receiver[i]);
-            const glm::dvec3 way = p.worldFromLight(to) - origin;
-            packet.org_x[i] = float(origin.x);
-            packet.org_y[i] = float(origin.y);
-            packet.org_z[i] = float(origin.z);
-            packet.dir_x[i] = float(way.x);
-            packet.dir_y[i] = float(way.y);
-            packet.dir_z[i] = float(way.z);
-            packet.tnear[i] = t(1.0);
-            packet.tfar[i] = std::min(1.0f, t(reach));
-            packet.time[i] = 0.0f;
-            packet.mask[i] = ~0u;
-            packet.id[i] = packet.flags[i] = 0;
+    auto group = std::make_unique<Group>();
+    const double w = straightAt(map, x, y).z;
+    group->planeHeight = float(kPlaneHeight * p.pixelFootprint(1.0) * w);
+    for (int first = 0; first < parts; first += kParts) {
+        test::Rays& rays =
+            group->bundles.emplace_back(kLanes, std::min(kParts, parts - first));
+        for (int row = 0; row < rays.rows(); ++row) {
+            const int receiver = row / rays.bundle.groups;
+            const int part = first + row % rays.bundle.groups;
+            const std::uint32_t px = x + std::uint32_t(receiver % 4);
+            const std::uint32_t py = y + std::uint32_t(receiver / 4);
+            setReceiver(map, px, py, receiver, rays);
+            const glm::dvec3 from =
+                p.lightFromRaster({px + 0.5, py + 0.5}, map.pixel(0, px, py).z[0]);
+            RTCRay16& packet = group->packets.emplace_back();
+            for (int lane = 0; lane < kLanes; ++lane) {
+                const double turn = 6.283185307179586 * (part + unit()) / parts;
+                const double r = radius * std::sqrt(unit());
+                const glm::dvec3 to =
+                    lamp + r * glm::dvec3(std::cos(turn), std::sin(turn), 0.0);
+                setRay(p, from, to, reach, row, lane, rays, packet);
+            }
         }
+        rays.boundEnds();
     }
     return group;
 }
@@ -139,23 +172,23 @@ struct Answer {
 
 template <typename Trace>
 Answer timed(const std::vector<std::unique_ptr<Group>>& groups, const Trace& trace) {
-    const auto start = std::chrono::steady_clock::now();
+    const std::clock_t start = std::clock();  // of the processor: machines are shared
     Answer answer;
     for (const auto& group : groups)
         answer.blocked += trace(*group);
-    answer.seconds =
-        std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    answer.seconds = double(std::clock() - start) / CLOCKS_PER_SEC;
     return answer;
 }
 
-std::uint64_t traceNearField(const NearField& field, Group& group) {
-    std::uint16_t asked[trace::kMostBlocks];
-    std::fill_n(asked, trace::kMostBlocks, std::uint16_t(0xffff));
-    std::fill_n(group.bundle.open, trace::kMostBlocks, std::uint16_t(0xffff));
-    trace::traceNear(field, group.bundle, group.end, asked);
+std::uint64_t traceNearField(const NearField& field, Group& group, bool planes) {
     std::uint64_t blocked = 0;
-    for (int b = 0; b < group.bundle.blocks; ++b)
-        blocked += std::uint64_t(16 - std::popcount(group.bundle.open[b]));
+    for (test::Rays& rays : group.bundles) {
+        rays.openAll();
+        rays.bundle.hasPlanes = planes;
+        trace::traceNear(field, rays.bundle, rays.end, group.planeHeight);
+        for (int row = 0; row < rays.rows(); ++row)
+            blocked += std::uint64_t(kLanes - std::popcount(rays.bundle.open[row]));
+    }
     return blocked;
 }
 
@@ -180,30 +213,37 @@ double median(std::vector<double> v) {
     return v[v.size() / 2];
 }
 
-void measure(const ShadowMap& map, RTCScene scene, int cells, double radius,
+void measure(const ShadowMap& map, RTCScene scene, int parts, double radius,
              double reach) {
     std::mt19937_64 random(1);
     std::vector<std::unique_ptr<Group>> groups;
     while (groups.size() < kGroups) {
-        const std::uint32_t width = map.info().width - 4, height = map.info().height - 4;
+        const std::uint32_t width = map.info().width - 5, height = map.info().height - 5;
         auto group =
             groupAt(map, std::uint32_t(random() % width),
-                    std::uint32_t(random() % height), cells, radius, reach, random);
+                    std::uint32_t(random() % height), parts, radius, reach, random);
         if (group) groups.push_back(std::move(group));
     }
-    std::vector<double> near, embree;
-    Answer a, b;
+    std::vector<double> times[3];
+    Answer answers[3];
     for (int i = 0; i < kRepeats; ++i) {
-        a = timed(groups, [&](Group& g) { return traceNearField(map.nearField(0), g); });
-        b = timed(groups, [&](Group& g) { return traceEmbree(scene, g); });
-        near.push_back(a.seconds);
-        embree.push_back(b.seconds);
+        for (const bool planes : {false, true})
+            answers[planes] = timed(groups, [&](Group& g) {
+                return traceNearField(map.nearField(0), g, planes);
+            });
+        answers[2] = timed(groups, [&](Group& g) { return traceEmbree(scene, g); });
+        for (int k = 0; k < 3; ++k)
+            times[k].push_back(answers[k].seconds);
     }
-    const double rays = double(kGroups) * cells * 16;
-    std::printf("%5d %6.2f %6.0f %10.2f %10.2f %8.2f %10.4f %10.4f\n", cells, radius,
-                reach, 1e9 * median(near) / rays, 1e9 * median(embree) / rays,
-                median(embree) / median(near), double(a.blocked) / rays,
-                double(b.blocked) / rays);
+    const double rays = double(kGroups) * parts * kLanes * kLanes;
+    std::printf("%5d %6.2f %6.0f", parts, radius, reach);
+    for (const std::vector<double>& time : times)
+        std::printf(" %8.2f", 1e9 * median(time) / rays);
+    for (int k = 0; k < 2; ++k)
+        std::printf(" %8.2f", median(times[2]) / median(times[k]));
+    for (const Answer& answer : answers)
+        std::printf(" %8.4f", double(answer.blocked) / rays);
+    std::printf("\n");
 }
 
 }  // namespace
@@ -215,11 +255,13 @@ int main(int argc, char** argv) {
     RTCDevice device = rtcNewDevice("threads=1");
     RTCScene scene = sceneOf(device, body);
     std::printf(
-        "cells radius  reach near ns/ray  Embree ns/ray ratio    blocked   Embree\n");
-    for (const int cells : {1, 16, 64}) {
+        "                     ns/ray                     Embree's time /   blocked\n"
+        "parts radius  reach     near   planes   Embree     near   planes     near   "
+        "planes   Embree\n");
+    for (const int parts : {1, 4, 16}) {
         for (const double radius : {0.1, 0.33, 1.0}) {
             for (const double reach : {8.0, 32.0})
-                measure(map, scene, cells, radius, reach);
+                measure(map, scene, parts, radius, reach);
         }
     }
     rtcReleaseScene(scene);

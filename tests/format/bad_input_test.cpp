@@ -270,7 +270,7 @@ TEST_CASE("what a newer minor version may have brought is unsupported, not damag
     check([](Surgery& s) { poke(s.payload(kHead), 8, 17u); }, "shape");
     check([](Surgery& s) { poke(s.payload(kTotl), 36, 2u); }, "unknown flags 2");
     check(plane(1, [](PlaneRecord& r) { r.encoding = 3; }), "unknown encoding 3");
-    check(plane(1, [](PlaneRecord& r) { r.filter = 3; }), "unknown filter 3");
+    check(plane(1, [](PlaneRecord& r) { r.filter = 4; }), "unknown filter 4");
     check(plane(1, [](PlaneRecord& r) { r.reserved2 = 1; }), "reserved");
     check([](Surgery& s) { s.onIndex = [](Index& i) { i.tiles[0].planes |= 4; }; },
           "unknown planes");
@@ -610,11 +610,15 @@ TEST_CASE("a plane's record that lies is refused", "[format][bad-input]") {
     check(
         1, [](PlaneRecord& r) { r.encoding = 3; }, "unknown encoding 3");
     check(
-        1, [](PlaneRecord& r) { r.filter = 3; }, "unknown filter 3");
+        1, [](PlaneRecord& r) { r.filter = 4; }, "unknown filter 4");
     check(
-        0, [](PlaneRecord& r) { r.filter = 2; }, "gradient filter on");
+        0, [](PlaneRecord& r) { r.filter = 2; }, "filter 2 on");
     check(
         0, [](PlaneRecord& r) { r.filter = 1; }, "shuffle filter on");
+    check(
+        1, [](PlaneRecord& r) { r.shift = 32; }, "shift 32");
+    check(
+        0, [](PlaneRecord& r) { r.shift = 1; }, "shift 1 with filter 0");
     check(
         1, [](PlaneRecord& r) { r.elementSize = 2; }, "elements of 2 bytes");
     check(

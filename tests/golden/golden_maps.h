@@ -336,6 +336,25 @@ inline Golden nearField() {
     return {"near_field", *std::move(map)};
 }
 
+/// Smoke of which neighbouring pixels say nothing and neighbouring layers much, with
+/// depths and visibilities of few bits, as a bake rounds them.
+inline Golden rounded() {
+    MapInfo info = goldenInfo(16, 16, 16);
+    info.translucent = Translucent::media;
+    info.attributes = {{"rounding", std::vector<double>{0.015625}}};
+    Numbers numbers(19);
+    return {"rounded", goldenMap(info, {goldenProjection(info)}, [&](auto, auto, auto) {
+                Pixel p;
+                float z = 4.0f + float(numbers.below(4096)) / 2048.0f, v = 1.0f;
+                for (std::uint32_t i = 3 + numbers.below(6); i > 0; --i) {
+                    z += float(1 + numbers.below(16)) / 2048.0f;
+                    v -= float(1 + numbers.below(16)) / 1024.0f;
+                    p.push_back({z, {v}, 1});
+                }
+                return p;
+            })};
+}
+
 inline Golden attributes() {
     MapInfo info = goldenInfo(2, 2, 8);
     info.settings = "quote \" backslash \\ newline \n moon \xf0\x9f\x8c\x92";
@@ -372,6 +391,7 @@ inline std::vector<Golden> goldenMaps() {
     all.push_back(deepPixel());
     all.push_back(attributes());
     all.push_back(nearField());
+    all.push_back(rounded());
     return all;
 }
 

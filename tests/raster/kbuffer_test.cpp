@@ -31,9 +31,11 @@ Expected bruteForce(std::vector<float> depths, std::size_t k) {
     return e;
 }
 
-std::vector<float> content(const KTile& tile, std::uint32_t pixel) {
-    if (tile.empty()) return {};
-    return {tile.z(pixel), tile.z(pixel) + tile.count(pixel)};
+std::vector<float> content(const KTile& tile, std::uint32_t x, std::uint32_t y) {
+    std::vector<float> z;
+    for (std::uint32_t k = 0; k < tile.count(x, y); ++k)
+        z.push_back(tile.plane(k)[tile.place(x, y)]);
+    return z;
 }
 
 }  // namespace
@@ -53,13 +55,13 @@ TEST_CASE("the k nearest are kept and the others counted, whatever the order",
                 MemoryBudget budget(1 << 20);
                 KTile tile(3, 2, k, budget);
                 for (const float z : depths)
-                    tile.insert(4, z);
+                    tile.insert(tile.place(1, 1), z);
                 INFO("k " << k << ", seed " << seed << ", order " << order);
-                REQUIRE(content(tile, 4) == expected.kept);
-                REQUIRE(content(tile, 3).empty());
-                REQUIRE(content(tile, 5).empty());
+                REQUIRE(content(tile, 1, 1) == expected.kept);
+                REQUIRE(content(tile, 0, 1).empty());
+                REQUIRE(content(tile, 2, 1).empty());
                 REQUIRE(tile.samples() == n);
-                REQUIRE(tile.samples() - tile.count(4) - tile.copies() ==
+                REQUIRE(tile.samples() - tile.count(1, 1) - tile.copies() ==
                         expected.dropped);
             }
         }
@@ -76,11 +78,15 @@ TEST_CASE("a tile takes memory when it is needed and not before", "[raster]") {
     CHECK(tile.pixels() == 36 * 6);
     CHECK(tile.empty());
     CHECK(tile.bytes() == 0);
-    const std::uint64_t plane = 36 * 6 * 4 * 4;
-    tile.insert(0, 1.0f);
+    const std::uint64_t plane = 40 * 6 * 4;  // rows begin at multiples of 8
+    tile.insert(tile.place(0, 0), 2.0f);
     CHECK(tile.bytes() == plane);
-    tile.insert(0, 1.0f);  // a copy
+    tile.insert(tile.place(1, 0), 1.0f);
+    CHECK(tile.bytes() == plane);
+    tile.insert(tile.place(0, 0), 1.0f);
     CHECK(tile.bytes() == 2 * plane);
+    tile.insert(tile.place(0, 0), 1.0f);  // a copy
+    CHECK(tile.bytes() == (2 + 4) * plane);
     CHECK(buffer.tile(0, 0).empty());
     tile.clear();
     CHECK(tile.empty());
@@ -93,6 +99,7 @@ TEST_CASE("beyond the budget nothing is allocated and the failure is remembered"
     MemoryBudget budget(64 * 64 * 4 * 2 + (64 * 64 + 1) * 4);
     KBuffer buffer(64, 192, 2, budget);
     buffer.tile(0, 0).insert(0, 1.0f);
+    buffer.tile(0, 0).insert(0, 2.0f);
     CHECK_FALSE(budget.exceeded());
     buffer.tile(0, 1).insert(0, 1.0f);
     CHECK(budget.exceeded());
@@ -104,7 +111,7 @@ TEST_CASE("a million samples in one pixel are all counted", "[raster]") {
     KTile tile(1, 1, 5, budget);
     for (int i = 1'000'000; i > 0; --i)
         tile.insert(0, float(i));
-    CHECK(content(tile, 0) == std::vector<float>{1, 2, 3, 4, 5});
+    CHECK(content(tile, 0, 0) == std::vector<float>{1, 2, 3, 4, 5});
     CHECK(tile.samples() == 1'000'000);
     CHECK(tile.copies() == 0);
 }

@@ -1,6 +1,7 @@
 // The parallel rasteriser: the same samples as triangle by triangle, on any thread count.
 #include "raster/rasteriser.h"
 
+#include <hwy/targets.h>
 #include <tbb/global_control.h>
 #include <tbb/task_arena.h>
 
@@ -54,10 +55,11 @@ std::vector<Pixel> nearest(const Projection& p, std::uint32_t side, std::uint32_
         for (std::uint32_t x = 0; x < side; ++x) {
             const KTile& tile = buffer.tile(x / 64, y / 64);
             if (tile.empty()) continue;
-            const std::uint32_t at = y % 64 * tile.width() + x % 64;
-            *dropped -= tile.count(at);
-            for (std::uint32_t i = 0; i < tile.count(at); ++i)
-                pixels[y * side + x].samples.emplace_back(tile.z(at)[i], 1.0f);
+            const std::uint32_t at = tile.place(x % 64, y % 64);
+            const std::uint32_t count = tile.count(x % 64, y % 64);
+            *dropped -= count;
+            for (std::uint32_t i = 0; i < count; ++i)
+                pixels[y * side + x].samples.emplace_back(tile.plane(i)[at], 1.0f);
         }
     }
     return pixels;
@@ -164,6 +166,28 @@ TEST_CASE("the parallel rasteriser keeps what a sort of all samples keeps",
                 CHECK(dropped == droppedFirst);
             }
         }
+    }
+}
+
+TEST_CASE("every instruction set draws the same samples", "[raster][twin]") {
+    // A side that is no multiple of anything.
+    const std::uint32_t side = 131;
+    const Projection p = viewFrom({1, 2, 3}, side);
+    std::vector<Mesh> meshes = soup(7, 1.0f);
+    for (const bool copies : {true, false}) {
+        if (!copies) meshes.pop_back();
+        const auto all = bruteForce(p, side, meshes);
+        for (std::int64_t left = hwy::SupportedTargets(), target = 0; left;
+             left ^= target) {
+            target = left & -left;
+            hwy::SetSupportedTargetsForTest(target);
+            for (const std::uint32_t k : {1u, 3u, 16u}) {
+                std::uint64_t dropped = 0;
+                INFO(hwy::TargetName(target) << ", k " << k);
+                CHECK(nearest(p, side, k, meshes, &dropped) == cut(all, k));
+            }
+        }
+        hwy::SetSupportedTargetsForTest(0);
     }
 }
 

@@ -58,9 +58,9 @@ ShadowOptions filtered() {
     return options;
 }
 
-/// The fast trace keeps an optical depth to one part in 2048; others are exact.
+/// The fast trace keeps an optical depth to one part in 1024; others are exact.
 double marginOf(ShadowMethod method) {
-    return method == ShadowMethod::trace ? 3e-4 : 0.0;
+    return method == ShadowMethod::trace ? 4e-4 : 0.0;
 }
 
 double largest(glm::dvec3 p) {

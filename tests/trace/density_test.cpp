@@ -1,7 +1,6 @@
 // The fast trace of media against the definition, closed forms and brute force.
 #include "trace/density_trace.h"
 
-#include <hwy/targets.h>
 #include <tbb/task_arena.h>
 
 #include <catch2/catch.hpp>
@@ -12,11 +11,15 @@
 
 #include "map_fixture.h"
 #include "trace/brute_force.h"
+#include "trace/bundle_fixture.h"
+#include "trace/each_target.h"
 #include "trace/straight_rays.h"
 
 using namespace mtsm;
 using namespace mtsm::trace;
 using test::mapOf;
+using test::onEachTarget;
+using test::Random;
 using test::TestLayer;
 
 namespace {
@@ -34,17 +37,6 @@ Projection parallel(std::uint32_t width) {
     return p;
 }
 
-/// 0 to 1, the same on every machine.
-class Random {
-  public:
-    explicit Random(std::uint64_t seed) : random_(seed) {}
-    double operator()() { return double(random_() >> 11) * 0x1p-53; }
-    double operator()(double low, double high) { return low + (high - low) * (*this)(); }
-
-  private:
-    std::mt19937_64 random_;
-};
-
 DensityTree treeOf(const ShadowMap& map, const DensityOptions& options = {}) {
     auto tree = DensityTree::build(map, 0, options);
     REQUIRE(tree);
@@ -59,58 +51,87 @@ struct Asked {
     float darkDepth = 1e30f;
 };
 
-/// Visibility of each ray, sixteen at a time.
-std::vector<std::array<double, 3>> trace16(const ShadowMap& map, const DensityTree& tree,
-                                           const std::vector<Ray>& rays,
-                                           const Asked& asked = {}) {
-    std::vector<std::array<double, 3>> visible;
-    const auto bundle = std::make_unique<RayBundle>();
-    const auto depths = std::make_unique<RayDepths>();
-    for (std::size_t first = 0; first < rays.size(); first += kLanes) {
-        *bundle = {};
-        *depths = {};
-        bundle->blocks = 1;
-        const std::size_t count = std::min<std::size_t>(kLanes, rays.size() - first);
-        for (std::size_t i = 0; i < count; ++i)
-            test::put(*bundle, 0, int(i),
-                      test::straighten(map.projection(0), rays[first + i],
-                                       test::nearestOf(map, 0), asked.apart));
-        traceDensity(tree, {asked.bias, asked.darkDepth}, *bundle, *depths);
-        for (std::size_t i = 0; i < count; ++i) {
+/// Rays of one start that follow one another are those of one receiver.
+class Bundles {
+  public:
+    Bundles(const ShadowMap& map, const DensityTree& tree, const Asked& asked)
+        : map_(map), tree_(tree), asked_(asked) {
+        clear();
+    }
+
+    void add(const Ray& ray) {
+        const test::StraightRay r = test::straighten(
+            map_.projection(0), ray, test::nearestOf(map_, 0), asked_.apart);
+        const bool fits = count_ > 0 && count_ < kLanes && r.start == last_.start &&
+                          r.spread == last_.spread;
+        if (!fits) {
+            if (bundle_->receivers == kMostReceivers) trace();
+            ++bundle_->receivers;
+            count_ = 0;
+        }
+        last_ = r;
+        // Receivers of few rays have them in different lanes.
+        const int receiver = bundle_->receivers - 1;
+        const int lane = (5 * receiver + count_++) % kLanes;
+        test::put(*bundle_, receiver, 0, lane, r);
+        places_.emplace_back(receiver, lane);
+    }
+    /// Of all rays that were added, in order.
+    std::vector<std::array<double, 3>> visible() {
+        trace();
+        return visible_;
+    }
+
+  private:
+    void clear() {
+        *bundle_ = {};
+        bundle_->groups = 1;
+        places_.clear();
+        count_ = 0;
+    }
+    void trace() {
+        *depths_ = {};
+        traceDensity(tree_, {asked_.bias, asked_.darkDepth}, *bundle_, *depths_);
+        for (const auto& [receiver, lane] : places_) {
             std::array<double, 3> v;
             for (int c = 0; c < 3; ++c)
-                v[c] = std::exp(-double(depths->depth[c][0][i]));
-            visible.push_back(v);
+                v[c] = std::exp(-double(depths_->depth[c][receiver][lane]));
+            visible_.push_back(v);
         }
+        clear();
     }
-    return visible;
-}
 
-/// Calls body once for each kind of vector that this machine and build have.
-template <typename Body>
-void onEveryTarget(const Body& body) {
-    hwy::SetSupportedTargetsForTest(0);
-    for (std::int64_t left = hwy::SupportedTargets(); left != 0; left &= left - 1) {
-        const std::int64_t target = left & -left;
-        hwy::SetSupportedTargetsForTest(target);
-        hwy::GetChosenTarget().Update(hwy::SupportedTargets());
-        INFO(hwy::TargetName(target));
-        body();
-    }
-    hwy::SetSupportedTargetsForTest(0);
-    hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+    const ShadowMap& map_;
+    const DensityTree& tree_;
+    const Asked& asked_;
+    std::unique_ptr<RayBundle> bundle_ = std::make_unique<RayBundle>();
+    std::unique_ptr<RayDepths> depths_ = std::make_unique<RayDepths>();
+    int count_ = 0;  // rays of the last receiver
+    test::StraightRay last_;
+    std::vector<std::pair<int, int>> places_;  // receiver, lane
+    std::vector<std::array<double, 3>> visible_;
+};
+
+/// Visibility of each ray.
+std::vector<std::array<double, 3>> traceAll(const ShadowMap& map, const DensityTree& tree,
+                                            const std::vector<Ray>& rays,
+                                            const Asked& asked = {}) {
+    Bundles bundles(map, tree, asked);
+    for (const Ray& ray : rays)
+        bundles.add(ray);
+    return bundles.visible();
 }
 
 /// Layers of everything that a map of media may hold: fine runs, single samples, walls,
 /// runs that end dark.
 std::vector<TestLayer> anyLayers(Random& random, bool single) {
     std::vector<TestLayer> layers;
-    float z = float(random(2, 4)), v = 1.0f;
+    float z = float(random.in(2, 4)), v = 1.0f;
     while (z < 8.0f) {
-        z += float(random(0.01, 1.5));
-        const double kind = random();
+        z += float(random.in(0.01, 1.5));
+        const double kind = random.in(0, 1);
         const bool restart = kind < 0.1;
-        v = restart ? 0.0f : v * float(random(0.3, 1.0));
+        v = restart ? 0.0f : v * float(random.in(0.3, 1.0));
         const bool alone = layers.empty() || kind < 0.06 || (single && kind < 0.6);
         layers.push_back({z, v, alone ? 1u : 5000u});
         if (restart) v = 1.0f;
@@ -125,18 +146,23 @@ ShadowMap anyMap(const Projection& p, std::uint32_t side, bool single,
                  [&](auto, auto) { return anyLayers(random, single); });
 }
 
-/// From among the layers towards the eye, at slopes at which no stretch is capped.
+/// From among the layers towards the eye, at slopes at which no stretch is capped; about
+/// four from each start.
 std::vector<Ray> anyRays(std::size_t count, std::uint64_t seed) {
     Random random(seed);
     std::vector<Ray> rays;
+    glm::dvec3 origin(0.0);
     while (rays.size() < count) {
         Ray ray;
-        const double z = random(2.5, 9);
-        ray.origin = {random(-0.8, 0.8) * z, random(-0.8, 0.8) * z, -z};
-        ray.delta = glm::dvec3(random(-1, 1), random(-1, 1), -1) - ray.origin;
+        if (rays.empty() || random.in(0, 1) < 0.25) {
+            const double z = random.in(2.5, 9);
+            origin = {random.in(-0.8, 0.8) * z, random.in(-0.8, 0.8) * z, -z};
+        }
+        ray.origin = origin;
+        ray.delta = glm::dvec3(random.in(-1, 1), random.in(-1, 1), -1) - ray.origin;
         if (std::abs(ray.delta.z) < 0.2 * glm::length(ray.delta)) continue;
-        ray.tBegin = random() < 0.5 ? 0.0 : random(0.0, 0.2);
-        ray.tSurfaces = random() < 0.5 ? 0.0 : random(0.0, 0.3);
+        ray.tBegin = random.in(0, 1) < 0.5 ? 0.0 : random.in(0.0, 0.2);
+        ray.tSurfaces = random.in(0, 1) < 0.5 ? 0.0 : random.in(0.0, 0.3);
         rays.push_back(ray);
     }
     return rays;
@@ -159,12 +185,12 @@ ShadowMap hairMap(std::uint32_t side, int hairs) {
     Random random(11);
     std::vector<std::vector<std::pair<float, float>>> samples(side * side);
     for (int h = 0; h < hairs; ++h) {
-        double x = random(0, side), y = random(0, side), z = random(4, 6);
-        const double angle = random(0, 6.2831853), rise = random(-0.03, 0.03);
+        double x = random.in(0, side), y = random.in(0, side), z = random.in(4, 6);
+        const double angle = random.in(0, 6.2831853), rise = random.in(-0.03, 0.03);
         for (int step = 0; step < 24; ++step) {
             if (x >= 0 && y >= 0 && x < side && y < side)
                 samples[std::size_t(y) * side + std::size_t(x)].push_back(
-                    {float(z), float(random(0.05, 0.4))});
+                    {float(z), float(random.in(0.05, 0.4))});
             x += std::cos(angle);
             y += std::sin(angle);
             z += rise;
@@ -206,8 +232,9 @@ TEST_CASE("single pixels answer as the definition does, ray by ray, on every pro
             asked.bias = {bias, bias / 10};
             TraceOptions options;
             options.bias = asked.bias;
-            onEveryTarget([&] {
-                const auto visible = trace16(map, tree, rays, asked);
+            onEachTarget([&](const char* target) {
+                INFO(target);
+                const auto visible = traceAll(map, tree, rays, asked);
                 std::vector<double> errors;
                 double mean = 0.0, lit = 0.0;
                 for (std::size_t i = 0; i < rays.size(); ++i) {
@@ -231,10 +258,10 @@ TEST_CASE("hair met pixel by pixel is what brute force in long double finds",
     Random random(5);
     std::vector<Ray> rays(160);
     for (Ray& ray : rays) {
-        ray.origin = {random(-9, 9), random(-9, 9), random(-6, -5)};
-        ray.delta = {random(-3, 3), random(-3, 3), 4};
+        ray.origin = {random.in(-9, 9), random.in(-9, 9), random.in(-6, -5)};
+        ray.delta = {random.in(-3, 3), random.in(-3, 3), 4};
     }
-    const auto visible = trace16(map, tree, rays);
+    const auto visible = traceAll(map, tree, rays);
     std::vector<double> errors;
     for (std::size_t i = 0; i < rays.size(); ++i)
         errors.push_back(std::abs(visible[i][0] - test::bruteForce(map, rays[i], {})));
@@ -259,14 +286,15 @@ TEST_CASE("a homogeneous slab gives exp(-s way) at any slant from texels of any 
             std::vector<Ray> rays;
             for (int i = 0; i < 320; ++i) {
                 Ray ray;
-                ray.origin = {random(-1, 1), random(-1, 1), -random(1.2, 7)};
-                ray.delta = glm::dvec3(random(-1, 1), random(-1, 1), -1) - ray.origin;
+                ray.origin = {random.in(-1, 1), random.in(-1, 1), -random.in(1.2, 7)};
+                ray.delta =
+                    glm::dvec3(random.in(-1, 1), random.in(-1, 1), -1) - ray.origin;
                 rays.push_back(ray);
             }
             for (const double apart : {0.0, 0.1, 0.5, 4.0}) {
                 Asked asked;
                 asked.apart = apart;
-                const auto visible = trace16(map, tree, rays, asked);
+                const auto visible = traceAll(map, tree, rays, asked);
                 for (std::size_t i = 0; i < rays.size(); ++i) {
                     const double z = -rays[i].origin.z;
                     const double slant = glm::length(rays[i].delta) / (z - 1);
@@ -292,20 +320,20 @@ TEST_CASE("coarse texels keep the mean over a light, and few texels are read",
     double mean = 0.0, bias = 0.0, apartFromOne = 0.0;
     const int points = 60, lights = 64;
     for (int k = 0; k < points; ++k) {
-        const glm::dvec3 point(random(-7, 7), random(-7, 7), -random(5, 8));
+        const glm::dvec3 point(random.in(-7, 7), random.in(-7, 7), -random.in(5, 8));
         std::vector<Ray> rays;
         for (int i = 0; i < lights; ++i) {
             Ray ray;
             ray.origin = point;
-            const glm::dvec2 at((i % 8 + random()) / 8 - 0.5,
-                                (i / 8 + random()) / 8 - 0.5);
+            const glm::dvec2 at((i % 8 + random.in(0, 1)) / 8 - 0.5,
+                                (i / 8 + random.in(0, 1)) / 8 - 0.5);
             ray.delta = glm::dvec3(4.0 * at, 0.0) - glm::dvec3(0, 0, point.z);
             ray.tBegin = 0.02;
             rays.push_back(ray);
         }
         Asked asked;
         asked.apart = 4.0 / 8;
-        const auto visible = trace16(map, tree, rays, asked);
+        const auto visible = traceAll(map, tree, rays, asked);
         double found = 0.0, exact = 0.0;
         for (int i = 0; i < lights; ++i) {
             found += visible[std::size_t(i)][0] / lights;
@@ -334,7 +362,7 @@ TEST_CASE("surfaces in a map of media block within the bias and from their own b
         ray.delta = {0, 0, z - 1};
         ray.tSurfaces = distance / (z - 1);
         asked.apart = apart;
-        return trace16(map, tree, {ray}, asked)[0][0];
+        return traceAll(map, tree, {ray}, asked)[0][0];
     };
     for (const double apart : {0.0, 3.0}) {
         INFO(apart);
@@ -350,7 +378,7 @@ TEST_CASE("surfaces in a map of media block within the bias and from their own b
         ray.origin = {-5, 0.1, -z};
         ray.delta = {9, 0.3, 0};
         asked.apart = 0;
-        CHECK(trace16(map, tree, {ray}, asked)[0][0] ==
+        CHECK(traceAll(map, tree, {ray}, asked)[0][0] ==
               Approx(std::abs(z - 5) < 0.1 ? 0.0 : 1.0).margin(1e-6));
     }
 }
@@ -369,7 +397,7 @@ TEST_CASE("a texel that is half covered by surfaces lets half of the light throu
         ray.delta = {0, 0, 5};
         Asked asked;
         asked.apart = std::ldexp(parallel(32).pixelFootprint(1), int(level) + 5);
-        CHECK(trace16(map, tree, {ray}, asked)[0][0] == Approx(0.5).epsilon(0.003));
+        CHECK(traceAll(map, tree, {ray}, asked)[0][0] == Approx(0.5).epsilon(0.003));
     }
 }
 
@@ -382,14 +410,14 @@ TEST_CASE("what a ray meets does not depend on which rays share its bundle",
         Asked asked;
         asked.apart = apart;
         asked.darkDepth = 3.0f;
-        const auto together = trace16(map, tree, rays, asked);
+        const auto together = traceAll(map, tree, rays, asked);
         for (std::size_t i = 0; i < rays.size(); ++i)
-            CHECK(trace16(map, tree, {rays[i]}, asked)[0] == together[i]);
+            CHECK(traceAll(map, tree, {rays[i]}, asked)[0] == together[i]);
     }
 }
 
 TEST_CASE(
-    "blocks add to their depths; rays that are closed meet nothing and dark ones "
+    "rows add to their depths; rays that are closed meet nothing and dark ones "
     "are closed",
     "[trace]") {
     const ShadowMap map = mapOf(mediaInfo(16), parallel(16), [](std::uint32_t x, auto) {
@@ -400,27 +428,33 @@ TEST_CASE(
     const auto depths = std::make_unique<RayDepths>();
     *bundle = {};
     *depths = {};
-    bundle->blocks = 3;
-    for (int b = 0; b < 3; ++b) {
-        for (int i = 0; i < kLanes; ++i) {
-            Ray ray;
-            ray.origin = {-9.0 + i * 1.2, 0.1, -4};
-            ray.delta = {0, 0, 2};
-            test::put(*bundle, b, i,
-                      test::straighten(map.projection(0), ray, test::nearestOf(map, 0)));
-            depths->depth[0][b][i] = float(b);
+    bundle->receivers = kMostReceivers;
+    bundle->groups = 3;
+    const auto thin = [](int receiver) { return -9.0 + receiver * 1.2 < 0; };
+    for (int receiver = 0; receiver < kMostReceivers; ++receiver) {
+        Ray ray;
+        ray.origin = {-9.0 + receiver * 1.2, 0.1, -4};
+        ray.delta = {0, 0, 2};
+        const test::StraightRay r =
+            test::straighten(map.projection(0), ray, test::nearestOf(map, 0));
+        for (int group = 0; group < 3; ++group) {
+            for (int lane = 0; lane < kLanes; ++lane) {
+                test::put(*bundle, receiver, group, lane, r);
+                depths->depth[0][bundle->row(receiver, group)][lane] = float(group);
+            }
         }
+        bundle->open[bundle->row(receiver, 1)] = 0x0f0f;
     }
-    bundle->open[1] = 0x0f0f;
     traceDensity(tree, {{}, 6.0f}, *bundle, *depths);
-    for (int b = 0; b < 3; ++b) {
-        for (int i = 0; i < kLanes; ++i) {
-            const bool thin = -9.0 + i * 1.2 < 0;
-            const bool open = b != 1 || (0x0f0f >> i & 1);
-            INFO("block " << b << ", lane " << i);
-            CHECK(depths->depth[0][b][i] ==
-                  Approx(b + (open ? -std::log(thin ? 0.5 : 1e-4) : 0)).epsilon(0.003));
-            CHECK((bundle->open[b] >> i & 1) == (open && thin ? 1 : 0));
+    for (int row = 0; row < kMostReceivers * 3; ++row) {
+        const int receiver = row / 3, group = row % 3;
+        for (int lane = 0; lane < kLanes; ++lane) {
+            const bool open = group != 1 || (0x0f0f >> lane & 1);
+            const double met = -std::log(thin(receiver) ? 0.5 : 1e-4);
+            INFO("receiver " << receiver << ", group " << group << ", lane " << lane);
+            CHECK(depths->depth[0][row][lane] ==
+                  Approx(group + (open ? met : 0)).epsilon(0.0005));
+            CHECK((bundle->open[row] >> lane & 1) == (open && thin(receiver) ? 1 : 0));
         }
     }
 }
@@ -435,7 +469,7 @@ TEST_CASE("three channels are met as three maps of one channel are", "[trace][tw
         for (auto& channel : layers) {
             channel.push_back(red);
             for (TestLayer& layer : channel.back())
-                layer.v = std::pow(layer.v, float(random(0.5, 2)));
+                layer.v = std::pow(layer.v, float(random.in(0.5, 2)));
             // Visibility falls.
             float before = 1.0f;
             for (TestLayer& layer : channel.back()) {
@@ -471,13 +505,14 @@ TEST_CASE("three channels are met as three maps of one channel are", "[trace][tw
     REQUIRE(coloured);
     const DensityTree tree = treeOf(*coloured);
     const std::vector<Ray> rays = anyRays(160, 22);
-    onEveryTarget([&] {
-        const auto visible = trace16(*coloured, tree, rays);
+    onEachTarget([&](const char* target) {
+        INFO(target);
+        const auto visible = traceAll(*coloured, tree, rays);
         for (std::size_t c = 0; c < 3; ++c) {
             const ShadowMap one = mapOf(mediaInfo(side), p, [&](auto x, auto y) {
                 return layers[c][y * side + x];
             });
-            const auto alone = trace16(one, treeOf(one), rays);
+            const auto alone = traceAll(one, treeOf(one), rays);
             for (std::size_t i = 0; i < rays.size(); ++i)
                 CHECK(visible[i][c] == Approx(alone[i][0]).margin(0.004));
         }
@@ -506,36 +541,41 @@ TEST_CASE("no bundle makes the kernel hang or answer with what is no number",
                          1e30f,  -1e30f, 1e38f, -1e38f, INFINITY, -INFINITY, NAN,
                          1e-45f, 33.0f,  8.0f,  -0.25f, 1e-6f,    1e9f};
     const auto number = [&] {
-        if (bits() % 3 == 0) return float(random(-1, 40));
+        if (bits() % 3 == 0) return float(random.in(-1, 40));
         return odd[bits() % std::size(odd)];
     };
     const auto bundle = std::make_unique<RayBundle>();
     const auto depths = std::make_unique<RayDepths>();
+    bundle->receivers = kMostReceivers;
+    bundle->groups = 2;
+    constexpr int kRows = 2 * kMostReceivers;
     for (const ShadowMap& map : maps) {
         const DensityTree tree = treeOf(map);
-        onEveryTarget([&] {
+        onEachTarget([&](const char* target) {
+            INFO(target);
             for (int round = 0; round < 40; ++round) {
-                bundle->blocks = 4;
                 *depths = {};
-                for (int i = 0; i < kLanes; ++i) {
-                    bundle->u[i] = number();
-                    bundle->v[i] = number();
-                    bundle->w[i] = number();
-                    bundle->texel[i] = number();
-                    for (int b = 0; b < 4; ++b) {
-                        bundle->du[b][i] = number();
-                        bundle->dv[b][i] = number();
-                        bundle->dw[b][i] = number();
-                        bundle->begin[b][i] = bits() % 2 ? 0.0f : number();
-                        bundle->beginSurfaces[b][i] = bits() % 2 ? 0.0f : number();
-                        bundle->open[b] = std::uint16_t(bits() % 4 ? 0xffff : bits());
+                for (int receiver = 0; receiver < bundle->receivers; ++receiver) {
+                    bundle->u[receiver] = number();
+                    bundle->v[receiver] = number();
+                    bundle->w[receiver] = number();
+                    bundle->spread[receiver] = number();
+                }
+                for (int row = 0; row < kRows; ++row) {
+                    for (int i = 0; i < kLanes; ++i) {
+                        bundle->du[row][i] = number();
+                        bundle->dv[row][i] = number();
+                        bundle->dw[row][i] = number();
+                        bundle->begin[row][i] = bits() % 2 ? 0.0f : number();
+                        bundle->beginSurfaces[row][i] = bits() % 2 ? 0.0f : number();
                     }
+                    bundle->open[row] = std::uint16_t(bits() % 4 ? 0xffff : bits());
                 }
                 traceDensity(tree, {{0.01, 1e-3}, 6.9f}, *bundle, *depths);
-                for (int b = 0; b < 4; ++b) {
+                for (int row = 0; row < kRows; ++row) {
                     for (int i = 0; i < kLanes; ++i)
-                        REQUIRE((std::isfinite(depths->depth[0][b][i]) &&
-                                 depths->depth[0][b][i] >= 0.0f));
+                        REQUIRE((std::isfinite(depths->depth[0][row][i]) &&
+                                 depths->depth[0][row][i] >= 0.0f));
                 }
             }
         });
@@ -576,12 +616,12 @@ TEST_CASE("levels below the finest asked for are left out", "[trace]") {
     Random random(2);
     std::vector<Ray> rays(64);
     for (Ray& ray : rays) {
-        ray.origin = {random(-9, 9), random(-9, 9), -30};
-        ray.delta = {random(-1, 1), random(-1, 1), 29};
+        ray.origin = {random.in(-9, 9), random.in(-9, 9), -30};
+        ray.delta = {random.in(-1, 1), random.in(-1, 1), 29};
     }
     Asked asked;
     asked.apart = 8.0 * map.projection(0).pixelFootprint(1);
-    CHECK(trace16(map, tree, rays, asked) == trace16(map, whole, rays, asked));
+    CHECK(traceAll(map, tree, rays, asked) == traceAll(map, whole, rays, asked));
     // However few levels there are.
     options.finest = 100;
     CHECK(treeOf(map, options).translucent().levels.size() ==
@@ -600,8 +640,9 @@ TEST_CASE("sheets without a bias are met as the definition meets them", "[trace]
         std::vector<Ray> rays = anyRays(800, 14);
         for (Ray& ray : rays)
             ray.tSurfaces = ray.tBegin;
-        onEveryTarget([&] {
-            const auto visible = trace16(map, tree, rays);
+        onEachTarget([&](const char* target) {
+            INFO(target);
+            const auto visible = traceAll(map, tree, rays);
             std::vector<double> errors;
             for (std::size_t i = 0; i < rays.size(); ++i)
                 errors.push_back(std::abs(visible[i][0] - traceRay(map, rays[i], {})[0]));
@@ -640,14 +681,14 @@ TEST_CASE("a tilted sheet is paid for once, from texels of any size", "[trace][e
         std::vector<Ray> rays(400);
         for (Ray& ray : rays) {
             const double reach = perspective ? 5 : 4;
-            ray.origin = {random(-reach, reach), random(-reach, reach), -100};
-            ray.delta = glm::dvec3(random(-1, 1), random(-1, 1), -1) *
+            ray.origin = {random.in(-reach, reach), random.in(-reach, reach), -100};
+            ray.delta = glm::dvec3(random.in(-1, 1), random.in(-1, 1), -1) *
                             glm::dvec3(reach / 5, reach / 5, 1) -
                         ray.origin;
         }
         for (const double apart : {0.0, 0.5, 2.0}) {
             asked.apart = apart;
-            const auto visible = trace16(map, tree, rays, asked);
+            const auto visible = traceAll(map, tree, rays, asked);
             std::size_t once = 0;
             double mean = 0.0;
             for (const auto& v : visible) {
@@ -671,5 +712,5 @@ TEST_CASE("an empty map has an empty density tree", "[trace]") {
     Ray ray;
     ray.origin = {0, 0, -5};
     ray.delta = {0, 0, 4};
-    CHECK(trace16(map, tree, {ray})[0][0] == 1.0);
+    CHECK(traceAll(map, tree, {ray})[0][0] == 1.0);
 }

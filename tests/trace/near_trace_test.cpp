@@ -4,40 +4,30 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <catch2/catch.hpp>
 #include <cmath>
-#include <functional>
 #include <glm/common.hpp>
 #include <glm/geometric.hpp>
 #include <glm/vec3.hpp>
 #include <memory>
-#include <random>
 #include <vector>
 
-#include "hwy/highway.h"
 #include "map_fixture.h"
 #include "mtsm/map.h"
+#include "trace/bundle_fixture.h"
+#include "trace/each_target.h"
 
 using namespace mtsm;
+using test::onEachTarget;
+using test::Random;
 using trace::kLanes;
-using trace::kMostBlocks;
-using trace::RayBundle;
+using trace::kMostReceivers;
+using trace::kMostRows;
 
 namespace {
 
 using Triangle = std::array<glm::dvec3, 3>;
-
-class Random {
-  public:
-    explicit Random(std::uint64_t seed) : engine_(seed) {}
-    double in(double low, double high) {
-        return low + (high - low) * double(engine_() >> 11) * 0x1p-53;
-    }
-    std::size_t below(std::size_t n) { return std::size_t(engine_() % n); }
-
-  private:
-    std::mt19937_64 engine_;
-};
 
 /// A map with these triangles, 16 by 16 in their order, on a grid of 2^-8 in u and v and
 /// 2^-20 in w: they must lie on it.
@@ -78,54 +68,60 @@ glm::dvec3 onGrid(glm::dvec3 p) {
             std::round(p.z * 0x1p20) * 0x1p-20};
 }
 
-/// A bundle, where its rays end, and which are asked for.
-struct Rays {
-    RayBundle bundle{};
-    alignas(64) float end[kMostBlocks][kLanes]{};
-    std::uint16_t asked[kMostBlocks]{};
+/// Closes the rays that triangles block which rise this high above the planes.
+void traceNear(const ShadowMap& map, test::Rays& rays, double height = 0.0) {
+    trace::traceNear(map.nearField(0), rays.bundle, rays.end, float(height));
+}
 
-    [[nodiscard]] glm::dvec3 start(int lane) const {
-        return {bundle.u[lane], bundle.v[lane], bundle.w[lane]};
-    }
-    [[nodiscard]] glm::dvec3 delta(int b, int lane) const {
-        return {bundle.du[b][lane], bundle.dv[b][lane], bundle.dw[b][lane]};
-    }
-    void setStart(int lane, glm::dvec3 p) {
-        bundle.u[lane] = float(p.x);
-        bundle.v[lane] = float(p.y);
-        bundle.w[lane] = float(p.z);
-    }
-    void setDelta(int b, int lane, glm::dvec3 d) {
-        bundle.du[b][lane] = float(d.x);
-        bundle.dv[b][lane] = float(d.y);
-        bundle.dw[b][lane] = float(d.z);
-    }
-    void trace(const ShadowMap& map) {
-        trace::traceNear(map.nearField(0), bundle, end, asked);
-    }
-};
-
-/// Rays from around a point to around others, all open and asked for.
-std::unique_ptr<Rays> raysAround(Random& random, int blocks, glm::dvec3 from,
-                                 double spread, glm::dvec3 reach) {
-    auto rays = std::make_unique<Rays>();
-    rays->bundle.blocks = blocks;
+/// Rays from around a point to around others.
+std::unique_ptr<test::Rays> raysAround(Random& random, int receivers, int groups,
+                                       glm::dvec3 from, double spread, glm::dvec3 reach) {
+    auto rays = std::make_unique<test::Rays>(receivers, groups);
     const auto around = [&](glm::dvec3 p, double by) {
         return p + by * glm::dvec3(random.in(-1, 1), random.in(-1, 1),
                                    random.in(-0x1p-12, 0x1p-12));
     };
-    for (int lane = 0; lane < kLanes; ++lane)
-        rays->setStart(lane, around(from, spread));
-    for (int b = 0; b < blocks; ++b) {
-        const glm::dvec3 cell = around(reach, 0.5 * glm::length(glm::dvec2(reach)));
-        for (int lane = 0; lane < kLanes; ++lane) {
-            rays->setDelta(b, lane, around(cell, spread));
-            rays->bundle.begin[b][lane] = float(random.in(0, 0.2));
-            rays->end[b][lane] = float(random.in(0.3, 1));
+    for (int receiver = 0; receiver < receivers; ++receiver)
+        rays->setStart(receiver, around(from, spread));
+    for (int group = 0; group < groups; ++group) {
+        const glm::dvec3 part = around(reach, 0.5 * glm::length(glm::dvec2(reach)));
+        for (int receiver = 0; receiver < receivers; ++receiver) {
+            const int row = rays->bundle.row(receiver, group);
+            for (int lane = 0; lane < kLanes; ++lane) {
+                rays->setDelta(row, lane, around(part, spread));
+                rays->bundle.begin[row][lane] = float(random.in(0, 0.2));
+                rays->end[row][lane] = float(random.in(0.3, 1));
+            }
         }
-        rays->bundle.open[b] = rays->asked[b] = 0xffff;
     }
+    rays->boundEnds();
     return rays;
+}
+
+/// w is brought to the size of u and v.
+constexpr glm::dvec3 kScale(1.0, 1.0, 0x1p12);
+
+/// Gives receivers planes of any direction; heights in pixels.
+void addPlanes(Random& random, test::Rays& rays) {
+    rays.bundle.hasPlanes = true;
+    for (int receiver = 0; receiver < kMostReceivers; ++receiver) {
+        const glm::dvec3 n =
+            glm::normalize(glm::dvec3(random.in(-1, 1), random.in(-1, 1), 1)) * kScale;
+        rays.bundle.planeU[receiver] = float(n.x);
+        rays.bundle.planeV[receiver] = float(n.y);
+        rays.bundle.planeW[receiver] = float(n.z);
+    }
+}
+
+/// How high a triangle rises above a receiver's plane.
+double rises(const Triangle& t, const test::Rays& rays, int receiver) {
+    if (!rays.bundle.hasPlanes) return HUGE_VAL;
+    const glm::dvec3 n(rays.bundle.planeU[receiver], rays.bundle.planeV[receiver],
+                       rays.bundle.planeW[receiver]);
+    double most = -HUGE_VAL;
+    for (const glm::dvec3& p : t)
+        most = std::max(most, glm::dot(n, p - rays.start(receiver)));
+    return most;
 }
 
 enum class Met { no, yes, close };
@@ -133,11 +129,9 @@ enum class Met { no, yes, close };
 /// Whether a ray crosses a triangle, in double; close if rounding may decide.
 Met meets(const Triangle& t, glm::dvec3 start, glm::dvec3 delta, double begin,
           double end) {
-    // w is brought to the size of u and v.
-    const glm::dvec3 scale(1.0, 1.0, 0x1p12);
-    start *= scale;
-    delta *= scale;
-    const glm::dvec3 a = t[0] * scale, b = t[1] * scale, c = t[2] * scale;
+    start *= kScale;
+    delta *= kScale;
+    const glm::dvec3 a = t[0] * kScale, b = t[1] * kScale, c = t[2] * kScale;
     const glm::dvec3 normal = glm::cross(b - a, c - a);
     const double speed = glm::dot(normal, delta);
     const double size = glm::length(normal) * glm::length(delta);
@@ -166,19 +160,22 @@ Met meets(const Triangle& t, glm::dvec3 start, glm::dvec3 delta, double begin,
 struct Disagreement {
     int wrong = 0, hit = 0, missed = 0, close = 0;
 
-    void add(const Rays& before, const Rays& after,
-             const std::vector<Triangle>& triangles) {
-        for (int b = 0; b < before.bundle.blocks; ++b) {
+    void add(const test::Rays& before, const test::Rays& after,
+             const std::vector<Triangle>& triangles, double height) {
+        for (int row = 0; row < before.rows(); ++row) {
+            const int receiver = row / before.bundle.groups;
             for (int lane = 0; lane < kLanes; ++lane) {
                 Met met = Met::no;
                 for (const Triangle& t : triangles) {
-                    const Met m =
-                        meets(t, before.start(lane), before.delta(b, lane),
-                              before.bundle.begin[b][lane], before.end[b][lane]);
+                    const double above = rises(t, before, receiver) - height;
+                    if (above < -1e-3) continue;
+                    Met m = meets(t, before.start(receiver), before.delta(row, lane),
+                                  before.bundle.begin[row][lane], before.end[row][lane]);
+                    if (m == Met::yes && above < 1e-3) m = Met::close;
                     if (m == Met::close && met == Met::no) met = Met::close;
                     if (m == Met::yes) met = Met::yes;
                 }
-                const bool open = after.bundle.open[b] >> lane & 1;
+                const bool open = after.isOpen(row, lane);
                 hit += met == Met::yes;
                 missed += met == Met::no;
                 close += met == Met::close;
@@ -209,16 +206,6 @@ std::vector<Triangle> scattered(Random& random, int count, double size) {
     return triangles;
 }
 
-/// Runs `body` once for each kind of processor that this one can be.
-void onEachTarget(const std::function<void()>& body) {
-    for (const std::int64_t target : hwy::SupportedAndGeneratedTargets()) {
-        INFO(hwy::TargetName(target));
-        hwy::GetChosenTarget().Update(target);
-        body();
-    }
-    hwy::GetChosenTarget().DeInit();
-}
-
 }  // namespace
 
 TEST_CASE("rays are blocked by the triangles that brute force finds", "[trace][twin]") {
@@ -233,11 +220,15 @@ TEST_CASE("rays are blocked by the triangles that brute force finds", "[trace][t
             const double length = std::exp2(random.in(0, 6));
             const glm::dvec3 reach(random.in(-1, 1) * length, random.in(-1, 1) * length,
                                    random.in(-0.01, 0.02));
-            auto rays = raysAround(random, 1 + int(random.below(20)), from,
-                                   std::exp2(random.in(-6, 2)), reach);
-            Rays after = *rays;
-            after.trace(map);
-            found.add(*rays, after, triangles);
+            const int receivers = 1 + int(random.below(16));
+            auto rays = raysAround(random, receivers,
+                                   1 + int(random.below(std::size_t(20 / receivers))),
+                                   from, std::exp2(random.in(-6, 2)), reach);
+            const double height = random.in(0, 0.5);
+            if (i % 2) addPlanes(random, *rays);
+            test::Rays after = *rays;
+            traceNear(map, after, height);
+            found.add(*rays, after, triangles, height);
         }
     }
     CHECK(found.wrong == 0);
@@ -280,25 +271,22 @@ TEST_CASE("no ray slips through a mesh, along its edges and through its corners"
         int through = 0;
         for (int i = 0; i < 300; ++i) {
             // From in front of the mesh to behind it, by way of an edge or a corner.
-            auto rays = std::make_unique<Rays>();
-            rays->bundle.blocks = 16;
-            for (int lane = 0; lane < kLanes; ++lane)
-                rays->setStart(lane, {random.in(20, 40), random.in(20, 40), 0.012});
-            for (int b = 0; b < 16; ++b) {
+            auto rays = std::make_unique<test::Rays>(16, 1);
+            for (int row = 0; row < 16; ++row) {
+                rays->setStart(row, {random.in(20, 40), random.in(20, 40), 0.012});
                 for (int lane = 0; lane < kLanes; ++lane) {
                     const Triangle& t = (*mesh)[random.below(mesh->size())];
-                    const double share = b % 4 == 0 ? 0.0 : random.in(0, 1);
+                    const double share = lane % 4 == 0 ? 0.0 : random.in(0, 1);
                     glm::dvec3 by = glm::mix(t[0], t[1], share);
                     by = glm::clamp(by, glm::dvec3(8), glm::dvec3(52, 52, 1));
                     by.z = glm::mix(t[0], t[1], share).z;
-                    rays->setDelta(b, lane, (by - rays->start(lane)) * 2.0);
-                    rays->end[b][lane] = 1.0f;
+                    rays->setDelta(row, lane, (by - rays->start(row)) * 2.0);
                 }
-                rays->bundle.open[b] = rays->asked[b] = 0xffff;
             }
-            rays->trace(map);
-            for (int b = 0; b < 16; ++b)
-                through += std::popcount(rays->bundle.open[b]);
+            rays->boundEnds();
+            traceNear(map, *rays);
+            for (int row = 0; row < 16; ++row)
+                through += std::popcount(rays->bundle.open[row]);
         }
         CHECK(through == 0);
     }
@@ -309,63 +297,78 @@ TEST_CASE("a ray's answer depends on that ray alone, on every processor",
     Random random(3);
     const std::vector<Triangle> triangles = scattered(random, 2000, 3.0);
     const ShadowMap map = mapOfTriangles(triangles);
-    std::vector<std::unique_ptr<Rays>> bundles;
-    for (int i = 0; i < 12; ++i)
+    std::vector<std::unique_ptr<test::Rays>> bundles;
+    for (int i = 0; i < 12; ++i) {
+        const int receivers = i == 0 ? 1 : i == 1 ? 16 : 1 + int(random.below(16));
+        const int groups = i < 2 ? kMostRows / receivers : 1 + int(random.below(4));
+        // Half of them lead towards the eye, all rays of each.
         bundles.push_back(raysAround(
-            random, i == 0 ? kMostBlocks : 1 + int(random.below(20)),
-            {random.in(10, 54), random.in(10, 54), 0.012}, std::exp2(random.in(-6, 2)),
-            {random.in(-20, 20), random.in(-20, 20), random.in(-0.002, 0.01)}));
+            random, receivers, groups, {random.in(10, 54), random.in(10, 54), 0.012},
+            std::exp2(random.in(-6, 2)),
+            {random.in(-10, 10), random.in(-10, 10),
+             i % 2 ? random.in(0.008, 0.01) : random.in(-0.002, 0.006)}));
+        if (i % 3) addPlanes(random, *bundles.back());
+    }
     std::vector<std::vector<std::uint16_t>> first;
-    onEachTarget([&] {
+    onEachTarget([&](const char* name) {
+        INFO(name);
         for (std::size_t i = 0; i < bundles.size(); ++i) {
-            Rays all = *bundles[i];
-            all.trace(map);
+            test::Rays all = *bundles[i];
+            traceNear(map, all);
             const std::vector<std::uint16_t> open(all.bundle.open,
-                                                  all.bundle.open + all.bundle.blocks);
+                                                  all.bundle.open + all.rows());
             if (first.size() <= i) first.push_back(open);
             CHECK(open == first[i]);
         }
     });
-    int blocked = 0, different = 0;
+    int blocked = 0, different = 0, wide = 0;
     for (std::size_t i = 0; i < bundles.size(); ++i) {
-        for (int b = 0; b < bundles[i]->bundle.blocks; ++b) {
+        const test::Rays& all = *bundles[i];
+        wide += all.bundle.wide & 1;
+        for (int row = 0; row < all.rows(); ++row) {
             for (int lane = 0; lane < kLanes; ++lane) {
-                Rays alone = *bundles[i];
-                std::fill_n(alone.asked, kMostBlocks, std::uint16_t(0));
-                alone.asked[b] = std::uint16_t(1u << lane);
-                alone.trace(map);
-                const bool open = first[i][std::size_t(b)] >> lane & 1;
+                const bool open = first[i][std::size_t(row)] >> lane & 1;
                 blocked += !open;
-                const std::uint16_t others = std::uint16_t(~alone.asked[b]);
-                different += (alone.bundle.open[b] >> lane & 1) != open ||
-                             (alone.bundle.open[b] & others) != others;
+                // The only one that is open, among the others and without them.
+                test::Rays alone = all;
+                alone.openOnly(row, lane);
+                traceNear(map, alone);
+                different += alone.isOpen(row, lane) != open;
+                test::Rays single(1, 1);
+                single.copyReceiver(all, row / all.bundle.groups, 0);
+                single.setDelta(0, lane, all.delta(row, lane));
+                single.bundle.begin[0][lane] = all.bundle.begin[row][lane];
+                single.end[0][lane] = all.end[row][lane];
+                single.openOnly(0, lane);
+                traceNear(map, single);
+                different += single.isOpen(0, lane) != open;
             }
         }
     }
     CHECK(different == 0);
     CHECK(blocked > 300);
+    CHECK(wide > 0);
+    CHECK(wide < int(bundles.size()));
 }
 
-TEST_CASE("triangles count behind begin and up to end, for open rays that are asked for",
-          "[trace][exact]") {
+TEST_CASE("triangles count behind begin and up to end, for open rays", "[trace][exact]") {
     // Crossed at s = 0.5 exactly; edge-on to the eye, which looks along w.
     const ShadowMap map = mapOfTriangles(
         {{glm::dvec3(4, 0, 0.0078125), {4, 8, 0.0078125}, {4, 4, 0.0625}}});
-    Rays rays;
-    rays.bundle.blocks = 1;
-    for (int lane = 0; lane < kLanes; ++lane) {
-        rays.setStart(lane, {2, 4, 0.015625});
+    test::Rays rays(1, 1);
+    rays.setStart(0, {2, 4, 0.015625});
+    for (int lane = 0; lane < kLanes; ++lane)
         rays.setDelta(0, lane, {4, 0, 0});
-        rays.end[0][lane] = 1.0f;
-    }
     const auto blocked = [&](float begin, float end) {
         rays.bundle.begin[0][3] = begin;
         rays.end[0][3] = end;
-        rays.bundle.open[0] = rays.asked[0] = 8;
-        rays.trace(map);
+        rays.boundEnds();
+        rays.openOnly(0, 3);
+        traceNear(map, rays);
         return rays.bundle.open[0] == 0;
     };
-    onEachTarget([&] {
+    onEachTarget([&](const char* name) {
+        INFO(name);
         CHECK(blocked(0.0f, 1.0f));
         CHECK(blocked(0.0f, 0.5f));
         CHECK(blocked(std::nextafter(0.5f, 0.0f), 1.0f));
@@ -374,15 +377,24 @@ TEST_CASE("triangles count behind begin and up to end, for open rays that are as
         CHECK_FALSE(blocked(0.75f, 0.25f));
         rays.bundle.begin[0][3] = 0.0f;
         rays.end[0][3] = 1.0f;
-        rays.bundle.open[0] = 0x0ff0;
-        rays.asked[0] = 0x00ff;
-        rays.trace(map);
-        CHECK(rays.bundle.open[0] == 0x0f00);
         rays.setDelta(0, 9, {0, 4, 0});  // beside it
         rays.setDelta(0, 10, {0, 0, 0});
-        rays.bundle.open[0] = rays.asked[0] = 0xffff;
-        rays.trace(map);
+        rays.boundEnds();
+        rays.openAll();
+        traceNear(map, rays);
         CHECK(rays.bundle.open[0] == 0x0600);
+        rays.bundle.open[0] = 0x0230;
+        traceNear(map, rays);
+        CHECK(rays.bundle.open[0] == 0x0200);
+        // As high above a plane as it reaches, and a little higher.
+        rays.bundle.hasPlanes = true;
+        std::fill_n(rays.bundle.planeW, kMostReceivers, 1.0f);
+        rays.openOnly(0, 3);
+        traceNear(map, rays, 0.046875);
+        CHECK(rays.bundle.open[0] == 8);
+        traceNear(map, rays, 0.0468);
+        CHECK(rays.bundle.open[0] == 0);
+        rays.bundle.hasPlanes = false;
     });
 }
 
@@ -393,8 +405,8 @@ TEST_CASE("a near field without triangles blocks nothing", "[trace]") {
     const auto map = ShadowMap::create(test::plainInfo(8, 8, 8), std::move(faces));
     REQUIRE(map);
     Random random(4);
-    auto rays = raysAround(random, 5, {4, 4, 0.01}, 1.0, {3, 3, 0.01});
-    rays->trace(*map);
-    for (int b = 0; b < 5; ++b)
-        CHECK(rays->bundle.open[b] == 0xffff);
+    auto rays = raysAround(random, 5, 2, {4, 4, 0.01}, 1.0, {3, 3, 0.01});
+    traceNear(*map, *rays);
+    for (int row = 0; row < rays->rows(); ++row)
+        CHECK(rays->bundle.open[row] == 0xffff);
 }

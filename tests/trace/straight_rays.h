@@ -13,12 +13,12 @@ namespace mtsm::test {
 struct StraightRay {
     glm::dvec3 start{0.0}, delta{0.0};  ///< u, v, w
     double begin = 0.0, beginSurfaces = 0.0;
-    double texel = 0.0;
+    double spread = 0.0;
     bool empty = true;  ///< nothing of it lies beyond the depth at which it ends
 };
 
-/// The part of `ray` behind depth zNear > 0. `texel` of rays that are `apart` world units
-/// apart at t = 1.
+/// The part of `ray` behind depth zNear > 0. `spread` of rays that are `apart` world
+/// units apart at t = 1, for one that starts behind zNear.
 inline StraightRay straighten(const Projection& p, const trace::Ray& ray, double zNear,
                               double apart = 0.0) {
     StraightRay r;
@@ -43,23 +43,31 @@ inline StraightRay straighten(const Projection& p, const trace::Ray& ray, double
     r.delta = at(t1) - r.start;
     r.begin = sOf(ray.tBegin);
     r.beginSurfaces = sOf(std::max(ray.tBegin, ray.tSurfaces));
-    r.texel = apart * t1 / p.pixelFootprint(z1);
+    if (d.z != 0.0)
+        r.spread =
+            apart / p.pixelFootprint(1.0) * (perspective ? o.z : 1.0) / std::abs(d.z);
     return r;
 }
 
-inline void put(trace::RayBundle& bundle, int block, int lane, const StraightRay& r) {
-    bundle.u[lane] = float(r.start.x);
-    bundle.v[lane] = float(r.start.y);
-    bundle.w[lane] = float(r.start.z);
-    bundle.du[block][lane] = float(r.delta.x);
-    bundle.dv[block][lane] = float(r.delta.y);
-    bundle.dw[block][lane] = float(r.delta.z);
-    bundle.begin[block][lane] = float(r.begin);
-    bundle.beginSurfaces[block][lane] = float(r.beginSurfaces);
-    bundle.texel[lane] = float(r.texel);
+/// As a ray of a receiver, whose rays have one start and one spread.
+inline void put(trace::RayBundle& bundle, int receiver, int group, int lane,
+                const StraightRay& r) {
+    const int row = bundle.row(receiver, group);
     const auto bit = std::uint16_t(1u << lane);
-    bundle.open[block] =
-        std::uint16_t(r.empty ? bundle.open[block] & ~bit : bundle.open[block] | bit);
+    if (r.empty) {
+        bundle.open[row] = std::uint16_t(bundle.open[row] & ~bit);
+        return;
+    }
+    bundle.open[row] = std::uint16_t(bundle.open[row] | bit);
+    bundle.u[receiver] = float(r.start.x);
+    bundle.v[receiver] = float(r.start.y);
+    bundle.w[receiver] = float(r.start.z);
+    bundle.spread[receiver] = float(r.spread);
+    bundle.du[row][lane] = float(r.delta.x);
+    bundle.dv[row][lane] = float(r.delta.y);
+    bundle.dw[row][lane] = float(r.delta.z);
+    bundle.begin[row][lane] = float(r.begin);
+    bundle.beginSurfaces[row][lane] = float(r.beginSurfaces);
 }
 
 /// A depth in front of everything in the map's face.

@@ -96,6 +96,7 @@ constexpr Key kKeys[] = {
     {"map", "color", Form::flag},
     {"map", "keep-hidden", Form::flag},
     {"map", "near-field", Form::nearField},
+    {"map", "rounding", Form::number},
     {"map", "codec", Form::text},
     {"map", "level", Form::whole},
 

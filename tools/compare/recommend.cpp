@@ -70,6 +70,7 @@ std::string mapLines(const Json& run, const Json& light, const std::string& inpu
     std::string bake = "  mtsm-bake " + input + lightSize(light) + " --resolution " +
                        numberText(s["resolution"]);
     if (s["layers"] > 0.0) bake += " --layers " + numberText(s["layers"]);
+    bake += " --near-field " + s["near"].get<std::string>();
     bake += " --tolerance " + numberText(s["tolerance"]);
     if (s["subsamples"] > 1.0) bake += " --subsamples " + numberText(s["subsamples"]);
     if (s["bias"] >= 0.0) bake += " --bias " + numberText(s["bias"]);
@@ -80,8 +81,9 @@ std::string mapLines(const Json& run, const Json& light, const std::string& inpu
         query += " --normal-pass " +
                  quotedForShell(normalPass.empty() ? "shot.N.exr" : normalPass);
     query += " --samples " + numberText(s["samples"]);
+    if (s["adaptive"] == "true") query += " --adaptive";
     if (s["query-bias"] >= 0.0) query += " --bias " + numberText(s["query-bias"]);
-    if (s["lookup"] == "pcf") query += " --method pcf";
+    if (s["lookup"] != "trace") query += " --method " + s["lookup"].get<std::string>();
     if (s["attenuation"] == "subtract") query += " --attenuation subtract";
     return bake + " -o key.mtsm\n" + query + " -o shadow.exr\n";
 }

@@ -73,6 +73,11 @@ struct BakeOptions {
     /// Keeps layers that no point of the light can see. Without, their number is stored
     /// in the map as the attribute "hiddenLayers".
     bool keepHidden = false;
+    /// Depths may be off by this share of the z threshold, and visibilities, relative to
+    /// themselves, by this share of the tolerance, so that the file is smaller; in [0,
+    /// 1]. Stored in the map as the attribute "rounding" unless it is 0, which keeps
+    /// every bit. Without: 1/64, or 0 if the tolerance is 0.
+    std::optional<float> rounding;
     /// z threshold, >= 0, world units. Without: a pixel's footprint at a layer's depth.
     std::optional<float> bias;
     /// Bytes that the near field (mtsm/near_field.h) may take in memory; 0: none. Only

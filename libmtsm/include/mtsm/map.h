@@ -234,6 +234,7 @@ class ShadowMap {
     Status checkTiles() const;
     Status checkTile(std::uint32_t face, std::uint32_t tx, std::uint32_t ty) const;
     void buildHierarchy();
+    void addPixels(std::uint32_t face, std::size_t tileIndex, Level& level) const;
 
     MapInfo info_;
     std::vector<MapFace> faces_;

@@ -16,6 +16,16 @@
 // away from the receiver, so that its own surface does not darken it. With a normal they
 // start at the receiver, and what lies on its tangent plane does not count.
 //
+// How it is traced (ShadowMethod::trace). Points are put into groups of neighbours whose
+// rays share their way through trees over the map's layers, which the first query makes
+// (prepareQueries makes them ahead); none of that changes an answer. A ray takes from as
+// coarse a level as its neighbours to the same light are apart. Of an opaque map layers
+// are pieces of tilted planes, which need no bias to close; and where the map has a near
+// field (mtsm/near_field.h), what lies within 32 pixel footprints of depth above the
+// receiver is met exactly. Visibility of media and sheets is kept to .0004. Maps of six
+// faces, Attenuation::subtract, single rays, and points further than 8 windows outside
+// the view are followed ray by ray: ShadowMethod::scalar, the definition.
+//
 // In a map of media (MapInfo::translucent) that holds for opaque surfaces. Hair and
 // volumes are met at exact crossings, and without a normal from one pixel footprint away
 // from the receiver on; with one, the tangent plane is theirs as well. Traced rays lose
@@ -68,6 +78,10 @@ struct ShadowOptions {
     ShadowMethod method = ShadowMethod::trace;
     Weight weight = Weight::uniform;  ///< cosine needs normals
     Attenuation attenuation = Attenuation::multiply;
+    /// Points of which the first 16 samples see the same take no more: most are lit or
+    /// dark. Only of ShadowMethod::trace; half-shadows thinner than a 16th of the light
+    /// may be missed.
+    bool adaptive = false;
 };
 
 inline constexpr int kMaxSamples = 4096;

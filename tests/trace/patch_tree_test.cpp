@@ -1,0 +1,385 @@
+// The patch tree: its patches share out the samples of a map, and say where they are.
+#include "trace/patch_tree.h"
+
+#include <algorithm>
+#include <array>
+#include <catch2/catch.hpp>
+#include <cmath>
+#include <map>
+#include <set>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "map_fixture.h"
+#include "trace/bundle_fixture.h"
+
+using namespace mtsm;
+using test::mapOf;
+using test::Random;
+using test::TestLayer;
+using trace::kTexels;
+using trace::PatchGroup;
+using trace::PatchTree;
+
+namespace {
+
+/// One layer of a map, in straight space.
+struct Sample {
+    std::uint32_t x = 0, y = 0;
+    double w = 0.0;
+
+    friend bool operator<(const Sample& a, const Sample& b) {
+        return std::tie(a.y, a.x, a.w) < std::tie(b.y, b.x, b.w);
+    }
+};
+
+/// A patch is named by its group and its place in it.
+using PatchName = std::pair<std::uint32_t, int>;
+
+double planeAt(const PatchGroup& g, int i, double u, double v) {
+    return g.w[i] + g.gradientU[i] * (u - g.u[i]) + g.gradientV[i] * (v - g.v[i]);
+}
+
+/// Rounding of planes in float.
+double slack(const PatchGroup& g, int i) {
+    return 4e-7 * (std::abs(g.w[i]) +
+                   kTexels * (std::abs(g.gradientU[i]) + std::abs(g.gradientV[i])));
+}
+
+/// Left edge of the tile that a box lies in.
+std::uint32_t cornerOf(float centre, std::uint8_t level) {
+    const std::uint32_t side = std::uint32_t(kTexels) << level;
+    return std::uint32_t(centre) / side * side;
+}
+
+bool bitOf(const trace::CoverPlane& plane, std::uint32_t x, std::uint32_t y) {
+    return plane.row[y] >> x & 1;
+}
+
+class Checker {
+  public:
+    explicit Checker(const ShadowMap& map)
+        : map_(map), tree_(PatchTree::build(map, 0, {})) {
+        perspective_ = map.projection(0).kind == ProjectionKind::perspective;
+    }
+
+    /// Every level by itself is the whole map.
+    void run() {
+        for (const PatchTree::Level& level : tree_.levels()) {
+            CHECK(level.tiles.size() == std::size_t(level.columns) * level.rows);
+            CHECK(level.columns * level.side >= map_.info().width);
+            CHECK(level.rows * level.side >= map_.info().height);
+            leaves_.clear();
+            for (const PatchTree::Entry& tile : level.tiles)
+                eachPatch(tile.group, tile.groups,
+                          [&](PatchName patch) { findLeaves(patch); });
+            shareOut();
+            for (const PatchTree::Entry& tile : level.tiles)
+                eachPatch(tile.group, tile.groups, [&](PatchName patch) {
+                    const std::vector<Sample> samples = samplesOf(patch);
+                    addShares(patch, pixelsOf(samples));
+                });
+        }
+        CHECK(tree_.levels().back().tiles.size() == 1);
+        std::string failures;
+        for (const auto& [what, count] : failures_)
+            failures += std::to_string(count) + " times not: " + what + "; ";
+        CHECK(failures == "");
+    }
+
+    double coveredTexels = 0.0, covered = 0.0;  // coarse: as stored, and truly
+    double variance = 0.0;                      // of their difference, if rounded by lot
+
+  private:
+    template <typename Visit>
+    void eachPatch(std::uint32_t group, std::uint32_t groups, const Visit& visit) const {
+        for (std::uint32_t g = group; g < group + groups; ++g) {
+            for (int i = 0; i < 4; ++i) {
+                if (tree_.groups()[g].high[i] > -HUGE_VALF) visit(PatchName(g, i));
+            }
+        }
+    }
+    [[nodiscard]] const PatchGroup& groupOf(PatchName patch) const {
+        return tree_.groups()[patch.first];
+    }
+    [[nodiscard]] const trace::CoverPlane* coverOf(PatchName patch) const {
+        return tree_.covers() + groupOf(patch).cover[patch.second];
+    }
+    void expect(bool holds, const char* what) {
+        if (!holds) ++failures_[what];
+    }
+
+    void findLeaves(PatchName patch) {
+        const PatchGroup& g = groupOf(patch);
+        const int i = patch.second;
+        if (g.childGroups[i] > 0) {
+            eachPatch(g.children[i], g.childGroups[i],
+                      [&](PatchName child) { findLeaves(child); });
+            return;
+        }
+        expect(g.level[i] == 0 && !g.shared[i], "leaves are of pixels");
+        for (std::uint32_t p = 0; p < 256; ++p) {
+            if (bitOf(*coverOf(patch), p % 16, p / 16))
+                leaves_[{cornerOf(g.u[i], 0) + p % 16, cornerOf(g.v[i], 0) + p / 16}]
+                    .push_back(patch);
+        }
+    }
+
+    [[nodiscard]] bool holds(PatchName leaf, const Sample& s) const {
+        const PatchGroup& g = groupOf(leaf);
+        const int i = leaf.second;
+        const double away = std::abs(planeAt(g, i, s.x + 0.5, s.y + 0.5) - s.w);
+        return away <= g.residual[i] + slack(g, i) && s.w >= g.low[i] && s.w <= g.high[i];
+    }
+
+    /// Finds for each sample the leaf that it is in: some order of the pixel's leaves
+    /// must hold its samples, one each.
+    void shareOut() {
+        sampleOf_.clear();
+        std::size_t pixels = 0;
+        for (std::uint32_t y = 0; y < map_.info().height; ++y) {
+            for (std::uint32_t x = 0; x < map_.info().width; ++x) {
+                const PixelLayers layers = map_.pixel(0, x, y);
+                if (layers.count == 0) continue;
+                ++pixels;
+                std::vector<PatchName> leaves = leaves_[{x, y}];
+                expect(leaves.size() == layers.count, "a leaf for each sample");
+                if (leaves.size() != layers.count) continue;
+                std::vector<Sample> samples;
+                for (std::uint32_t k = 0; k < layers.count; ++k)
+                    samples.push_back({x, y, depthOf(layers.z[k])});
+                std::sort(leaves.begin(), leaves.end());
+                bool fits = false;
+                do {
+                    fits = true;
+                    for (std::size_t k = 0; k < leaves.size() && fits; ++k)
+                        fits = holds(leaves[k], samples[k]);
+                } while (!fits && std::next_permutation(leaves.begin(), leaves.end()));
+                expect(fits, "leaves hold their samples");
+                for (std::size_t k = 0; k < leaves.size(); ++k)
+                    sampleOf_[leaves[k]].push_back(samples[k]);
+            }
+        }
+        expect(leaves_.size() == pixels, "no leaf where there is no sample");
+    }
+    [[nodiscard]] double depthOf(float z) const { return perspective_ ? 1.0f / z : -z; }
+
+    /// Checks a patch against all samples in it.
+    std::vector<Sample> samplesOf(PatchName patch) {
+        const PatchGroup& g = groupOf(patch);
+        const int i = patch.second;
+        std::vector<Sample> samples;
+        if (g.childGroups[i] == 0) samples = sampleOf_[patch];
+        eachPatch(g.children[i], g.childGroups[i], [&](PatchName child) {
+            const std::vector<Sample> more = samplesOf(child);
+            samples.insert(samples.end(), more.begin(), more.end());
+            const PatchGroup& c = groupOf(child);
+            const int k = child.second;
+            expect(c.level[k] == g.level[i] || c.level[k] + 1 == g.level[i],
+                   "a level at a time");
+            expect(c.low[k] >= g.low[i] && c.high[k] <= g.high[i], "depths of children");
+            expect(std::abs(c.u[k] - g.u[i]) + c.halfU[k] <= g.halfU[i] + 1e-4f &&
+                       std::abs(c.v[k] - g.v[i]) + c.halfV[k] <= g.halfV[i] + 1e-4f,
+                   "boxes of children");
+        });
+        expect(!samples.empty(), "no patch without samples");
+        const Pixels pixels = pixelsOf(samples);
+        float u0 = HUGE_VALF, v0 = HUGE_VALF, u1 = -HUGE_VALF, v1 = -HUGE_VALF;
+        for (const Sample& s : samples) {
+            u0 = std::min(u0, float(s.x)), u1 = std::max(u1, float(s.x + 1));
+            v0 = std::min(v0, float(s.y)), v1 = std::max(v1, float(s.y + 1));
+            expect(s.w >= g.low[i] && s.w <= g.high[i], "depths of samples");
+            const double away = std::abs(planeAt(g, i, s.x + 0.5, s.y + 0.5) - s.w);
+            expect(away <= g.residual[i] + slack(g, i), "distances from the plane");
+        }
+        const float texel = g.texel[i] > 0.0f ? g.texel[i] : 1.0f;
+        const auto isEdge = [texel](float at, float box, bool high) {
+            const float edge =
+                texel * (high ? std::ceil(at / texel) : std::floor(at / texel));
+            return std::abs(edge - box) < 1.0f / 256;  // bounds are a little larger
+        };
+        expect(isEdge(u0, g.u[i] - g.halfU[i], false) &&
+                   isEdge(u1, g.u[i] + g.halfU[i], true) &&
+                   isEdge(v0, g.v[i] - g.halfV[i], false) &&
+                   isEdge(v1, g.v[i] + g.halfV[i], true),
+               "the box is that of the texels");
+        if (g.sheet[i])
+            expect(pixels.size() == std::size_t((u1 - u0) * (v1 - v0)),
+                   "a sheet fills its box");
+        checkCover(patch, pixels);
+        return samples;
+    }
+
+    using Pixels = std::set<std::pair<std::uint32_t, std::uint32_t>>;
+    static Pixels pixelsOf(const std::vector<Sample>& samples) {
+        Pixels pixels;
+        for (const Sample& s : samples)
+            pixels.insert({s.x, s.y});
+        return pixels;
+    }
+
+    using Counts = std::array<int, 256>;
+    /// How many pixels of each texel.
+    [[nodiscard]] Counts countsOf(PatchName patch, const Pixels& pixels) const {
+        const PatchGroup& g = groupOf(patch);
+        const int i = patch.second;
+        Counts counts{};
+        for (const auto& [x, y] : pixels)
+            ++counts[((y - cornerOf(g.v[i], g.level[i])) >> g.level[i]) * 16 +
+                     ((x - cornerOf(g.u[i], g.level[i])) >> g.level[i])];
+        return counts;
+    }
+    /// In sixteenths.
+    [[nodiscard]] double shareOf(PatchName patch, std::uint32_t p) const {
+        int share = 0;
+        for (int k = 0; k < 4; ++k)
+            share |= int(bitOf(coverOf(patch)[k], p % 16, p / 16)) << k;
+        return share == 15 ? 16.0 : share;
+    }
+
+    void addShares(PatchName patch, const Pixels& pixels) {
+        const PatchGroup& g = groupOf(patch);
+        if (!g.shared[patch.second]) return;
+        const double full = std::exp2(2.0 * g.level[patch.second]);
+        const Counts counts = countsOf(patch, pixels);
+        for (std::uint32_t p = 0; p < 256; ++p) {
+            const double exact = 16.0 * counts[p] / full, step = exact > 14.0 ? 2.0 : 1.0;
+            const double above = exact - (exact > 14.0 ? 14.0 : std::floor(exact));
+            variance += above * (step - above) * full * full / 256;
+            coveredTexels += shareOf(patch, p) / 16.0 * full;
+            covered += counts[p];
+        }
+    }
+
+    /// Texels against the pixels of all samples in the patch.
+    void checkCover(PatchName patch, const Pixels& pixels) {
+        const PatchGroup& g = groupOf(patch);
+        const int i = patch.second;
+        const std::uint32_t texel = 1u << g.level[i];
+        const Counts counts = countsOf(patch, pixels);
+        bool anyPart = false;
+        for (std::uint32_t p = 0; p < 256; ++p) {
+            const int count = counts[p], full = int(texel * texel);
+            anyPart = anyPart || (count > 0 && count < full);
+            const double half = 0.5 * texel;
+            const double over =
+                planeAt(g, i, cornerOf(g.u[i], g.level[i]) + p % 16 * texel + half,
+                        cornerOf(g.v[i], g.level[i]) + p / 16 * texel + half);
+            const double reach =
+                half * (std::abs(g.gradientU[i]) + std::abs(g.gradientV[i]));
+            expect(count == 0 || (over - reach >= g.low[i] && over + reach <= g.high[i]),
+                   "depths of the plane");
+            if (!g.shared[i]) {
+                expect(bitOf(coverOf(patch)[0], p % 16, p / 16) == (count == full),
+                       "covered texels");
+                continue;
+            }
+            const double stored = shareOf(patch, p), exact = 16.0 * count / full;
+            // Sixteenths, but that all but one of them is not told from all or from two.
+            const double step = exact > 14.0 ? 2.0 : 1.0;
+            expect(std::abs(stored - exact) < step || stored == exact, "shares");
+        }
+        expect(g.shared[i] == anyPart, "shared where texels are covered in part");
+        expect(g.texel[i] == (anyPart ? float(texel) : 0.0f), "the size of texels");
+    }
+
+    const ShadowMap& map_;
+    PatchTree tree_;
+    bool perspective_;
+    std::map<std::pair<std::uint32_t, std::uint32_t>, std::vector<PatchName>> leaves_;
+    std::map<PatchName, std::vector<Sample>> sampleOf_;
+    std::map<std::string, int> failures_;  // what, and how often
+};
+
+Projection orthographic(std::uint32_t width, std::uint32_t height) {
+    Projection p = test::plainProjection(width, height);
+    p.kind = ProjectionKind::orthographic;
+    p.scale = {width / 8.0, height / -8.0};
+    return p;
+}
+
+/// Up to `most` layers a pixel; noise, or smooth sheets with holes, or some of each.
+ShadowMap randomMap(Random& random, std::uint32_t width, std::uint32_t height, int most,
+                    bool perspective, double noise) {
+    const Projection p =
+        perspective ? test::plainProjection(width, height) : orthographic(width, height);
+    const double a = random.in(0.05, 0.3), b = random.in(0.05, 0.3);
+    // A tile of 16 x 16 pixels here and there has none.
+    std::set<std::uint32_t> empty;
+    for (int i = 0; i < 5; ++i)
+        empty.insert(std::uint32_t(random.below(64)));
+    return mapOf(
+        test::plainInfo(width, height, 8), p, [&](std::uint32_t x, std::uint32_t y) {
+            std::vector<TestLayer> layers;
+            if (empty.count(y / 16 * 8 + x / 16)) return layers;
+            for (int k = 0; k < most; ++k) {
+                const double hole = std::sin(a * x + 2 * k) * std::cos(b * y);
+                if (hole + random.in(-noise, noise) > 0.4) continue;
+                const double z =
+                    2 + k + 0.2 * std::sin(b * x + a * y + k) + noise * random.in(-1, 1);
+                layers.push_back({float(z), 0.0f, 1});
+            }
+            std::sort(layers.begin(), layers.end(),
+                      [](const auto& c, const auto& d) { return c.z < d.z; });
+            return layers;
+        });
+}
+
+}  // namespace
+
+TEST_CASE("the patches of a tree share out the samples of its map", "[trace][exact]") {
+    Random random(1);
+    const std::pair<std::uint32_t, std::uint32_t> sizes[] = {
+        {1, 1}, {16, 16}, {17, 15}, {37, 53}, {130, 33}, {1, 90}};
+    for (const auto& [width, height] : sizes) {
+        for (const int most : {1, 2, 5}) {
+            for (const double noise : {0.0, 0.01, 1.0}) {
+                const bool perspective = random.below(2) == 0;
+                INFO(width << " x " << height << " layers " << most << " noise " << noise
+                           << " perspective " << perspective);
+                const ShadowMap map =
+                    randomMap(random, width, height, most, perspective, noise);
+                Checker(map).run();
+            }
+        }
+    }
+}
+
+TEST_CASE("the tree of a map without layers has no patches", "[trace]") {
+    const ShadowMap map = mapOf(test::plainInfo(40, 24, 8), test::plainProjection(40, 24),
+                                [](auto, auto) { return std::vector<TestLayer>{}; });
+    const PatchTree tree = PatchTree::build(map, 0, {});
+    CHECK(tree.patchCount() == 0);
+    for (const PatchTree::Level& level : tree.levels()) {
+        for (const PatchTree::Entry& tile : level.tiles)
+            CHECK(tile.groups == 0);
+    }
+    Checker(map).run();
+}
+
+TEST_CASE("the shares of coarse texels are right in the mean", "[trace][statistical]") {
+    // One flat sheet, with holes that are larger or smaller than texels, or with one
+    // pixel in eight or in 64 missing.
+    Random random(2);
+    for (const double scale : {0.02, 0.3, 2.0, 0.125, 0.015625}) {
+        const bool sparse = scale == 0.125 || scale == 0.015625;
+        const ShadowMap map =
+            mapOf(test::plainInfo(256, 200, 64), test::plainProjection(256, 200),
+                  [&](std::uint32_t x, std::uint32_t y) {
+                      const bool hole =
+                          sparse ? random.in(0, 1) < scale
+                                 : std::sin(scale * x + 1) + std::sin(scale * y) + 1 < 0;
+                      return hole ? std::vector<TestLayer>{}
+                                  : std::vector<TestLayer>{{4.0f, 0.0f, 1}};
+                  });
+        Checker checker(map);
+        checker.run();
+        INFO("scale " << scale << ": " << checker.coveredTexels << " of "
+                      << checker.covered);
+        CHECK(checker.variance > 0.0);
+        CHECK(std::abs(checker.coveredTexels - checker.covered) <
+              4.0 * std::sqrt(checker.variance));
+    }
+}
