@@ -101,7 +101,6 @@ image = [600, 300]
 light-scales = [0.28, 1, 2.68]
 truth = 4096
 
-
 END
 }
 
@@ -156,6 +155,7 @@ END
 [[method]]
 name = "mtsm"
 resolution = [$further]
+near = "none"
 samples = 64
 END
 }
