@@ -19,7 +19,7 @@ namespace {
 constexpr float kFarthestOutside = 8.0f;
 
 /// Trees count in 32 bits.
-constexpr std::uint64_t kMostLayers = std::uint64_t(1) << 31;
+constexpr std::uint64_t kMostLayers = std::uint64_t(1) << 28;
 
 // Measured (tests/bench/NOTES.md): twice the depth halves the error next to receivers and
 // costs little; lower planes leave acne, higher ones lose contact.
@@ -37,6 +37,7 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
     LightRays::Setting setting;
     setting.seed = options.seed;
     setting.onlyKey = onlyKey;
+    setting.isPoint = light.isPoint();
     setting.samples =
         light.isPoint() ? 1u : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
     setting.normals = normals;
@@ -48,6 +49,7 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
         setting.nearStart = kNearStart;
     }
     setting.media = !map.isOpaque();
+    setting.sheets = map.info().translucent == Translucent::sheets;
     setting.probe = options.adaptive;
     // Sheets are met within two biases.
     ZRange depths = map.zRange(0);
@@ -123,6 +125,9 @@ std::optional<std::uint32_t> BundleQuery::placeOf(glm::dvec3 point) const noexce
     const glm::dvec3 p = turned(point - projection_.eye);
     const ZRange range = map_.zRange(0);
     const bool perspective = projection_.kind == ProjectionKind::perspective;
+    // In floats a ray is as exact as its start: to an eighth of a pixel where layers are.
+    const double size = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
+    if (!(size <= 0x1p20 * projection_.pixelFootprint(range.min))) return std::nullopt;
     if (perspective && !(p.z > 0.5 * range.min)) return std::nullopt;
     const auto w = perspective ? 1.0f / float(p.z) : 1.0f;
     // In windows away from its middle; depth too.
@@ -177,11 +182,11 @@ void BundleQuery::setLane(const Receiver& receiver, int lane,
     set(lanes.axisXX, lanes.axisXY, lanes.axisXZ, x);
     set(lanes.axisYX, lanes.axisYY, lanes.axisYZ, y);
     set(lanes.axisZX, lanes.axisZY, lanes.axisZZ, z);
-    glm::dvec3 normal = turned(receiver.normal);
-    // Its square must be a float's.
-    const double size =
+    // Scaled first: the square of a length may overflow or vanish.
+    glm::dvec3 normal = receiver.normal;
+    const double longest =
         std::max({std::abs(normal.x), std::abs(normal.y), std::abs(normal.z)});
-    if (size > 0.0) normal *= 1.0 / size;
+    if (longest > 0.0) normal = turned(normal / longest);
     set(lanes.normalX, lanes.normalY, lanes.normalZ, normal);
     lanes.capHeight[lane] = float(capHeight);
     lanes.surfaceStart[lane] = float(kStartBiases * bias_.at(p.z));

@@ -23,7 +23,7 @@ struct FillInput {
     const LightRays::Points& points;
     int samples, firstGroup, groups;
     light::LightView::Domain domain;
-    bool endless, normals, weights, media;
+    bool endless, normals, weights, media, sheets;
     glm::vec3 shines;
 };
 
@@ -72,7 +72,10 @@ struct Pair {
 
 /// 1 / x but for the last bit or two.
 HWY_INLINE Vec reciprocal(Vec x) {
-    const Vec guess = hn::ApproximateReciprocal(x);
+    Vec guess = hn::ApproximateReciprocal(x);
+#if HWY_TARGET == HWY_NEON  // starts from 8 bits
+    guess = hn::Mul(guess, hn::NegMulAdd(x, guess, hn::Set(kF, 2.0f)));
+#endif
     return hn::Mul(guess, hn::NegMulAdd(x, guess, constant(2.0f)));
 }
 
@@ -399,7 +402,7 @@ class Rays {
         hn::Store(way.y, kF, bundle_.dv[row] + i);
         hn::Store(way.z, kF, bundle_.dw[row] + i);
         MaskF above = hn::Gt(one, zero);
-        Vec begin, nearBegin;
+        Vec begin, nearBegin, surfaces = zero;
         if (in_.normals) {
             above = hn::Gt(dot(delta, normal_), zero);
             // How fast the ray rises above the tangent plane, in s.
@@ -407,6 +410,16 @@ class Rays {
             const Vec per =
                 hn::IfThenElse(hn::Gt(rise, zero), reciprocal(rise), constant(HUGE_VALF));
             begin = hn::Mul(constant(view_.planeHeight), per);
+            if (in_.media) {
+                // What is met within the bias must be further than twice that from the
+                // receiver's own surface, measured in depth.
+                Vec depth = constant(0.4f * in_.at.surfaceStart[receiver_]);
+                if (view_.perspective)
+                    depth = hn::Mul(depth, hn::Mul(start_.z, start_.z));
+                surfaces =
+                    hn::Max(begin, hn::Mul(hn::Mul(depth, hn::Abs(plane_.z)), per));
+                if (in_.sheets) begin = surfaces;
+            }
             nearBegin = hn::Mul(constant(view_.nearHeight), per);
         } else {
             const Vec start = constant(in_.at.surfaceStart[receiver_]);
@@ -423,7 +436,8 @@ class Rays {
             begin = nearBegin;
         }
         if (in_.media) {
-            hn::Store(hn::Max(begin, least), kF, bundle_.beginSurfaces[row] + i);
+            hn::Store(hn::Max(hn::Max(begin, surfaces), least), kF,
+                      bundle_.beginSurfaces[row] + i);
             if (!in_.normals)
                 begin =
                     fromStart(delta, end, last.z, constant(in_.at.mediaStart[receiver_]));
@@ -504,6 +518,8 @@ class Rays {
                 hn::Div(hn::Max(zero, hn::Neg(dot(delta, normal))), length);
             weight = hn::IfThenElse(cosine, hn::Mul(weight, facing), weight);
         }
+        // Of thousands the sum must be a number.
+        weight = hn::Min(weight, constant(0x1p100f));
         weight = hn::IfThenElse(hn::Gt(weight, zero), weight, zero);
         hn::Store(weight, kF, fates_.weight[row] + i);
     }
@@ -561,7 +577,7 @@ std::vector<glm::dvec2> pattern(std::uint32_t number, std::uint32_t seed,
     const base::SquareSequence sequence(base::mix(std::uint64_t(seed) << 32 | number));
     std::vector<std::pair<std::uint64_t, glm::dvec2>> order;
     for (std::uint32_t i = 0; i < samples; ++i) {
-        const glm::dvec2 u = samples == 1 ? glm::dvec2(0.5) : sequence(i);
+        const glm::dvec2 u = sequence(i);
         order.emplace_back(placeOf(u), u);
     }
     const auto byPlace = [](const auto& a, const auto& b) { return a.first < b.first; };
@@ -583,9 +599,10 @@ LightRays::Points makePoints(const LightRays::Setting& setting,
     points.groups.assign(points.each / trace::kLanes, none);
     for (std::uint32_t p = 0; p < points.patterns; ++p) {
         const std::uint32_t number = setting.onlyKey ? *setting.onlyKey % kPatterns : p;
-        for (const glm::dvec2 u :
+        for (const glm::dvec2 sample :
              pattern(number, setting.seed, setting.samples,
                      setting.probe ? std::uint32_t(trace::kLanes) : 0u)) {
+            const glm::dvec2 u = setting.isPoint ? glm::dvec2(0.5) : sample;
             const glm::dvec2 at = domain == light::LightView::Domain::square
                                       ? 2.0 * u - 1.0
                                       : light::sampleDisk(u);
@@ -640,10 +657,19 @@ LightRays::LightRays(const Projection& p, std::uint32_t width, std::uint32_t hei
 
 void LightRays::fill(const ReceiverLanes& receivers, int first, int groups,
                      trace::RayBundle& bundle, RayFates& fates) const noexcept {
-    const FillInput input{
-        receivers,      view_,   points_,  int(setting_.samples), first,
-        groups,         domain_, endless_, setting_.normals,      setting_.weights,
-        setting_.media, shines_};
+    const FillInput input{receivers,
+                          view_,
+                          points_,
+                          int(setting_.samples),
+                          first,
+                          groups,
+                          domain_,
+                          endless_,
+                          setting_.normals,
+                          setting_.weights,
+                          setting_.media,
+                          setting_.sheets,
+                          shines_};
     HWY_DYNAMIC_DISPATCH(fill)(input, bundle, fates);
 }
 

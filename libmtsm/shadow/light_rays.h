@@ -55,9 +55,12 @@ class LightRays {
     struct Setting {
         std::uint32_t samples = 1;
         std::uint32_t seed = 0;
+        bool isPoint = false;  ///< the light: nothing but its middle matters
         bool normals = false, weights = false;
         bool probe = false;  ///< the first group is a sample of all of the light
-        bool media = false;  ///< RayBundle::begin is of media, beginSurfaces matters
+        /// A map that is not opaque: RayBundle::beginSurfaces matters; of sheets both are
+        /// as far from the receiver.
+        bool media = false, sheets = false;
         double height = 0.0;
         double nearDepth = 0.0, nearHeight = 0.0, nearStart = 1.0;
         std::optional<std::uint32_t> onlyKey;

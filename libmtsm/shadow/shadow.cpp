@@ -140,11 +140,18 @@ void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* p
     const shadow::Query query(map, light, options);
     QueryStats met;
     if (shadow::BundleQuery::serves(map, options)) {
-        const shadow::BundleQuery::Receiver first{
+        const shadow::BundleQuery::Receiver only{
             points[0], normals ? shadow::unitNormal(normals[0]) : glm::dvec3(0.0)};
         const shadow::BundleQuery bundles(map, light, options,
-                                          count == 1 ? &first : nullptr);
-        answerGroups(query, bundles, points, normals, count, met, take);
+                                          count == 1 ? &only : nullptr);
+        // Orders count in 32 bits.
+        constexpr std::size_t kAtOnce = std::size_t(1) << 30;
+        for (std::size_t first = 0; first < count; first += kAtOnce) {
+            answerGroups(
+                query, bundles, points + first, normals ? normals + first : nullptr,
+                std::min(kAtOnce, count - first), met,
+                [&](std::size_t i, glm::vec3 factor) { take(first + i, factor); });
+        }
     } else {
         answerEach(query, points, normals, count, met, take);
     }

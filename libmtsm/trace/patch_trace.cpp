@@ -87,7 +87,10 @@ class Queue {
 
 /// 1 / x but for the last bit or two.
 HWY_INLINE Vec reciprocal(Vec x) {
-    const Vec guess = hn::ApproximateReciprocal(x);
+    Vec guess = hn::ApproximateReciprocal(x);
+#if HWY_TARGET == HWY_NEON  // starts from 8 bits
+    guess = hn::Mul(guess, hn::NegMulAdd(x, guess, hn::Set(kF, 2.0f)));
+#endif
     return hn::Mul(guess, hn::NegMulAdd(x, guess, hn::Set(kF, 2.0f)));
 }
 
@@ -298,7 +301,7 @@ class Traversal {
         if (g.childGroups[i] > 0) {
             answered &= mayAnswer_[g.level[i]];
             if (answered && g.sheet[i]) test<true>(g, i, groups, answered);
-            answered &= lanesFarFrom(g, i);
+            answered &= lanesFarFrom(g, i) & ~std::uint32_t(bundle_.wide);
         }
         if (answered) test<false>(g, i, groups, answered);
         const std::uint32_t rest = lanes & ~answered & lanes_;

@@ -243,7 +243,8 @@ class TilePieces {
             const PixelLayers pixel = map_.pixel(face_, x, y);
             for (std::uint32_t i = 0; i < pixel.count; ++i)
                 samples_.push_back(
-                    {std::uint8_t(p), perspective_ ? 1.0f / pixel.z[i] : -pixel.z[i]});
+                    {std::uint8_t(p),
+                     perspective_ ? std::min(1.0f / pixel.z[i], 1e30f) : -pixel.z[i]});
         }
         begin_[256] = std::uint32_t(samples_.size());
     }
@@ -335,6 +336,8 @@ class TilePieces {
                 if (!inside.empty()) quarters.push_back(emit(inside, part, likely, made));
             }
             if (quarters.size() == 1) return quarters[0];
+            for (const Node& quarter : quarters)
+                node.residual = std::max(node.residual, mismatch(node.plane, quarter));
             for (const Node& quarter : quarters) {  // they may be steeper
                 node.low = std::min(node.low, quarter.low);
                 node.high = std::max(node.high, quarter.high);
@@ -527,6 +530,17 @@ class Coarsening {
             const Node& n = below_.nodes[i];
             if (!n.sheet) return false;
             area += n.box.area();
+        }
+        // One of each tile: areas alone do not say that none lies over another.
+        const auto tileOf = [&](const Node& n) {
+            const auto side = float(below_.side);
+            return std::pair(std::floor(n.box.u0 / side), std::floor(n.box.v0 / side));
+        };
+        for (const std::uint32_t i : c.members) {
+            for (const std::uint32_t j : c.members) {
+                if (i < j && tileOf(below_.nodes[i]) == tileOf(below_.nodes[j]))
+                    return false;
+            }
         }
         if (c.members.size() > 4 || area != node.box.area()) return false;
         for (const std::uint32_t i : c.members) {
