@@ -25,7 +25,8 @@ class BenchScene(Scene):
         """Of the sweep for equal error; no cap on layers."""
         if self.name.startswith("giant"):
             settings.setdefault("resolution", 2048)
-        return self.find("mtsm", light, **{"resolution": 1024, "near": "none", "layers": 0, **settings})
+        return self.find("mtsm", light, **{"resolution": 1024, "near": "none", "layers": 0,
+                                        "adaptive": "false", **settings})
 
     def light(self, light):
         return f"{SIZES[light] if light < len(SIZES) else light + 1}, {self.all['lights'][light]['name']}"
@@ -66,9 +67,9 @@ def winner(target, method, key):
     label = best[method][key] if method in best else None
     if not label:
         return "-"
-    for word in (method + " ", "resolution=", "near=none ", "mode=", "layers=0 "):
+    for word in (method + " ", "resolution=", " near=none", "mode="):
         label = label.replace(word, "")
-    return label.replace("near=auto", "near").replace("samples=", "x").replace("most=", "to ")
+    return label.replace("adaptive=true", "adaptive").replace("near=auto", "near").replace("samples=", "x").replace("most=", "to ")
 
 
 def targets(scene, light):

@@ -138,6 +138,13 @@ name = "mtsm"
 resolution = [$resolutions]
 near = [$near]
 samples = [$counts]
+
+[[method]]
+name = "mtsm"
+resolution = [$resolutions]
+near = [$near]
+samples = [${counts##*16, }]
+adaptive = "true"
 END
     [ "${2-}" != 16 ] || return 0
     cat <<END
