@@ -82,15 +82,14 @@ DensityTexel pack(const std::vector<Slab>& list, std::uint32_t channels,
     return texel;
 }
 
-Slab unpack(const DensityLevel& level, const DensityTexel& texel, std::uint32_t i,
-            std::uint32_t channels) {
-    const std::uint32_t* from = level.slabs.data() + texel.begin + i;
-    const std::uint32_t bits = from[texel.count];
+/// The slab at `from` of a list of `count`.
+Slab unpack(const std::uint32_t* from, std::size_t count, std::uint32_t channels) {
+    const std::uint32_t bits = from[count];
     const float low = std::bit_cast<float>(from[0]);
     const float high = low + lengthOf(bits), length = high - low;
     Slab slab{low, high, {densityOf(bits) * length, 0.0f, 0.0f}};
     for (std::size_t c = 1; c < channels; ++c)
-        slab.depth[c] = std::bit_cast<float>(from[(c + 1) * texel.count]) * length;
+        slab.depth[c] = std::bit_cast<float>(from[(c + 1) * count]) * length;
     return slab;
 }
 
@@ -323,45 +322,65 @@ bool makePixels(const ShadowMap& map, std::uint32_t face, bool surfaces,
     });
 }
 
-/// Reads a texel's list from its front.
-struct ListReader {
-    const DensityLevel* level;
-    const DensityTexel* texel;
-    std::uint32_t channels, next = 0;
-    Slab
-        slab;  // what is left of the first that was not taken; low is infinite at the end
+/// The lists of up to four texels, each read from its front.
+template <std::uint32_t kChannels>
+struct ListReaders {
+    // What is left of the first slab of each list that was not taken; low is infinite
+    // at the end.
+    float low[4], high[4];
+    float depth[4][kChannels];
 
-    ListReader(const DensityLevel& from, std::uint32_t x, std::uint32_t y,
-               std::uint32_t channelCount)
-        : level(&from), texel(&from.texel(x, y)), channels(channelCount) {
-        take();
+    void clear() noexcept {
+        count_ = 0;
+        std::fill_n(low, 4, HUGE_VALF);
+        std::fill_n(high, 4, HUGE_VALF);
     }
-    void take() {
-        if (next < texel->count)
-            slab = unpack(*level, *texel, next++, channels);
-        else
-            slab.low = HUGE_VALF;
+    void add(const DensityLevel& level, const DensityTexel& texel) noexcept {
+        const std::size_t k = count_++;
+        at_[k] = level.slabs.data() + texel.begin;
+        left_[k] = stride_[k] = texel.count;
+        take(k);
     }
-    [[nodiscard]] float length() const { return slab.high - slab.low; }
-    [[nodiscard]] float thickest() const {
-        return std::max({slab.depth[0], slab.depth[1], slab.depth[2]});
+    void take(std::size_t k) noexcept {
+        if (left_[k] == 0) {
+            low[k] = HUGE_VALF;
+            return;
+        }
+        --left_[k];
+        const Slab slab = unpack(at_[k]++, stride_[k], kChannels);
+        low[k] = slab.low;
+        high[k] = slab.high;
+        std::copy_n(slab.depth.begin(), kChannels, depth[k]);
     }
+    [[nodiscard]] std::size_t count() const noexcept { return count_; }
+    [[nodiscard]] float first() const noexcept {
+        return std::min(std::min(low[0], low[1]), std::min(low[2], low[3]));
+    }
+    [[nodiscard]] float length(std::size_t k) const noexcept { return high[k] - low[k]; }
+    [[nodiscard]] float thickest(std::size_t k) const noexcept {
+        return *std::max_element(depth[k], depth[k] + kChannels);
+    }
+
+  private:
+    std::size_t count_ = 0;
+    const std::uint32_t* at_[4] = {};
+    std::uint32_t left_[4] = {}, stride_[4] = {};
 };
 
 /// Merges the lists of up to four texels, whose areas are equal and beside one another.
 /// Where a slab of theirs is as deep or long as may be, all are cut.
+template <std::uint32_t kChannels>
 class Merger {
   public:
-    Merger(std::uint32_t channels, Limits limits)
-        : channels_(channels), limits_(limits) {}
+    using Lists = ListReaders<kChannels>;
 
-    void merge(std::vector<ListReader>& lists, std::vector<Slab>& out) {
+    explicit Merger(Limits limits) : limits_(limits) {}
+
+    void merge(Lists& lists, std::vector<Slab>& out) {
         out.clear();
-        share_ = 1.0f / float(lists.size());
+        share_ = 1.0f / float(lists.count());
         for (;;) {
-            float at = HUGE_VALF;
-            for (const ListReader& list : lists)
-                at = std::min(at, list.slab.low);
+            const float at = lists.first();
             if (open_ && at >= end_) close(out);
             if (at == HUGE_VALF) return;
             if (!open_) begin(at);
@@ -384,9 +403,9 @@ class Merger {
         if (limits_.thin && high_ <= end_ && thickest_ > 0.0f)
             slab.low = slab.high = low_ + moment_ / thickest_;
         // The depth whose transmittance is the mean of the children's.
-        for (std::uint32_t c = 0; c < channels_; ++c) {
+        for (std::uint32_t c = 0; c < kChannels; ++c) {
             float taken = 0.0f;
-            for (const Depths& child : depth_)
+            for (const auto& child : depth_)
                 taken += takenBy(child[c]);
             slab.depth[c] = depthThatTakes(taken * share_);
         }
@@ -396,91 +415,91 @@ class Merger {
 
     /// If a slab that begins at `at` is not to be cut: takes all of it, or ends the one
     /// that is open because it does not fit.
-    bool takeWhole(std::vector<ListReader>& lists, float at, std::vector<Slab>& out) {
-        for (std::size_t k = 0; k < lists.size(); ++k) {
-            ListReader& list = lists[k];
-            if (list.slab.low > at || !(limits_.whole || list.length() <= shortest_))
-                continue;
-            const float thickest = thickest_ + share_ * list.thickest();
-            if (high_ > low_ && (thickest > limits_.depth || list.slab.high > end_)) {
-                close(out);
-            } else {
-                add(list.slab, 1.0f, k);
-                list.take();
-            }
-            return true;
+    bool takeWhole(Lists& lists, float at, std::vector<Slab>& out) {
+        // Which list has it cannot be foreseen, so no branch asks.
+        unsigned whole = 0;
+        for (std::size_t k = 0; k < 4; ++k) {
+            const bool isShort = limits_.whole | (lists.length(k) <= shortest_);
+            whole |= unsigned(isShort & (lists.low[k] <= at)) << k;
         }
-        return false;
+        if (whole == 0) return false;
+        const auto k = std::size_t(std::countr_zero(whole));
+        const float thickest = thickest_ + share_ * lists.thickest(k);
+        if (high_ > low_ && (thickest > limits_.depth || lists.high[k] > end_)) {
+            close(out);
+        } else {
+            add(lists, k, lists.high[k], 1.0f);
+            lists.take(k);
+        }
+        return true;
     }
 
     /// Takes what lies from `at` to where a list's slab begins or ends, or the one that
     /// is open has to.
-    void advance(std::vector<ListReader>& lists, float at, std::vector<Slab>& out) {
+    void advance(Lists& lists, float at, std::vector<Slab>& out) {
         float to = std::max(end_, at + shortest_), density = 0.0f;
-        for (const ListReader& list : lists) {
-            if (list.slab.low > at) {
-                to = std::min(to, list.slab.low);
+        for (std::size_t k = 0; k < lists.count(); ++k) {
+            if (lists.low[k] > at) {
+                to = std::min(to, lists.low[k]);
             } else {
-                to = std::min(to, list.slab.high);
-                density += share_ * list.thickest() / list.length();
+                to = std::min(to, lists.high[k]);
+                density += share_ * lists.thickest(k) / lists.length(k);
             }
         }
         const float left = std::max(limits_.depth - thickest_, 0.0f);
         if (density * (to - at) > left)
             to = std::min(to, at + std::max(left / density, shortest_));
-        for (std::size_t k = 0; k < lists.size(); ++k) {
-            ListReader& list = lists[k];
-            if (list.slab.low > at) continue;
+        for (std::size_t k = 0; k < lists.count(); ++k) {
+            if (lists.low[k] > at) continue;
             // All of it, too, where floats do not tell the ends of the part.
-            const bool cut = to > at && to < list.slab.high;
-            const float part = cut ? (to - at) / list.length() : 1.0f;
-            Slab taken = list.slab;
-            taken.high = std::min(to, list.slab.high);
-            add(taken, part, k);
+            const bool cut = to > at && to < lists.high[k];
+            const float part = cut ? (to - at) / lists.length(k) : 1.0f;
+            add(lists, k, std::min(to, lists.high[k]), part);
             if (!cut) {
-                list.take();
+                lists.take(k);
                 continue;
             }
-            list.slab.low = to;
-            for (float& d : list.slab.depth)
+            lists.low[k] = to;
+            for (float& d : lists.depth[k])
                 d *= 1.0f - part;
         }
         if (thickest_ >= 0.999f * limits_.depth || to >= end_) close(out);
     }
 
-    void add(const Slab& slab, float part, std::size_t child) {
-        high_ = std::max(high_, slab.high);
+    /// A part of the first slab of list k, up to `high`.
+    void add(const Lists& lists, std::size_t k, float high, float part) {
+        high_ = std::max(high_, high);
         float thickest = 0.0f;
-        for (std::uint32_t c = 0; c < channels_; ++c) {
-            depth_[child][c] += part * slab.depth[c];
-            thickest = std::max(thickest, part * slab.depth[c]);
+        for (std::uint32_t c = 0; c < kChannels; ++c) {
+            const float depth = part * lists.depth[k][c];
+            depth_[k][c] += depth;
+            thickest = std::max(thickest, depth);
         }
         thickest_ += share_ * thickest;
-        moment_ += share_ * thickest * (0.5f * (slab.low + slab.high) - low_);
+        moment_ += share_ * thickest * (0.5f * (lists.low[k] + high) - low_);
     }
 
-    std::uint32_t channels_;
     Limits limits_;
     float share_ = 1.0f;  // of a child in the area
     // The slab that is open: from low_ to high_ so far, to end_ at most. What its
     // thickest channel has, mean over the children.
     bool open_ = false;
     float low_ = 0.0f, high_ = 0.0f, end_ = 0.0f, shortest_ = 0.0f, thickest_ = 0.0f;
-    float moment_ = 0.0f;            // of that, about low_
-    std::array<Depths, 4> depth_{};  // [child][channel]
+    float moment_ = 0.0f;                                  // of that, about low_
+    std::array<std::array<float, kChannels>, 4> depth_{};  // [child][channel]
 };
 
-bool makeCoarser(const DensityLevel& fine, std::uint32_t channels, Limits limits,
-                 DensityLevel& level) {
+template <std::uint32_t kChannels>
+bool makeCoarser(const DensityLevel& fine, Limits limits, DensityLevel& level) {
     level.width = (fine.width + 1) / 2;
     level.height = (fine.height + 1) / 2;
-    return makeLevel(channels, level, [&] {
-        return [&, merger = Merger(channels, limits), lists = std::vector<ListReader>()](
+    return makeLevel(kChannels, level, [&] {
+        return [&, merger = Merger<kChannels>(limits), lists = ListReaders<kChannels>()](
                    std::uint32_t x, std::uint32_t y, std::vector<Slab>& slabs) mutable {
             lists.clear();
             for (std::uint32_t v = 2 * y; v < std::min(2 * y + 2, fine.height); ++v) {
                 for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, fine.width); ++u)
-                    lists.emplace_back(fine, u, v, channels);
+                    lists.add(fine, fine.texel(u, v));
             }
             merger.merge(lists, slabs);
         };
@@ -502,12 +521,12 @@ bool makePyramid(const ShadowMap& map, std::uint32_t face, Kind kind,
         pyramid.low = std::min(pyramid.low, texel.low);
         pyramid.high = std::max(pyramid.high, texel.high);
     }
+    const auto coarser = map.info().channels == 3 ? makeCoarser<3> : makeCoarser<1>;
     for (std::uint32_t i = 1;
          pyramid.levels.back().width > 1 || pyramid.levels.back().height > 1; ++i) {
         DensityLevel level;
-        if (!makeCoarser(pyramid.levels.back(), map.info().channels,
-                         limitsOf(p, options, kind, i), level))
-            return false;
+        const Limits limits = limitsOf(p, options, kind, i);
+        if (!coarser(pyramid.levels.back(), limits, level)) return false;
         if (i <= options.finest) pyramid.levels.back() = {};
         pyramid.levels.push_back(std::move(level));
     }
