@@ -187,20 +187,32 @@ NearChunk chunkOf(const std::vector<NearTriangle>& triangles, const Entry* entri
 
 }  // namespace
 
-NearField packNear(const std::vector<NearTriangle>& triangles,
-                   const Projection& projection) {
+NearPacking packTriangles(const std::vector<NearTriangle>& triangles,
+                          const Projection& projection) {
     const Footprints footprints(projection);
     const std::vector<Entry> order = sorted(triangles, footprints);
     const std::vector<std::size_t> begins = cut(triangles, order, footprints);
-    NearField field;
-    field.chunks.resize(begins.size() - 1);
+    NearPacking packing;
+    std::vector<NearChunk>& chunks = packing.field.chunks;
+    chunks.resize(begins.size() - 1);
+    packing.triangle.resize(chunks.size() * NearChunk::kTriangles);
     base::parallelRanges(
-        std::size_t(0), field.chunks.size(), kPerTask / 16, [&](auto first, auto last) {
-            for (std::size_t i = first; i < last; ++i)
-                field.chunks[i] = chunkOf(triangles, order.data() + begins[i],
-                                          begins[i + 1] - begins[i], footprints);
+        std::size_t(0), chunks.size(), kPerTask / 16, [&](auto first, auto last) {
+            for (std::size_t i = first; i < last; ++i) {
+                const Entry* const entries = order.data() + begins[i];
+                const std::size_t count = begins[i + 1] - begins[i];
+                chunks[i] = chunkOf(triangles, entries, count, footprints);
+                for (std::size_t t = 0; t < NearChunk::kTriangles; ++t)
+                    packing.triangle[i * NearChunk::kTriangles + t] =
+                        entries[std::min(t, count - 1)].triangle;
+            }
         });
-    return field;
+    return packing;
+}
+
+NearField packNear(const std::vector<NearTriangle>& triangles,
+                   const Projection& projection) {
+    return packTriangles(triangles, projection).field;
 }
 
 }  // namespace mtsm::bake_detail

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "bake/near_chunks.h"
+#include "bake/near_sheets.h"
 #include "bake/near_triangles.h"
 #include "base/message.h"
 
@@ -16,9 +17,10 @@ std::uint64_t leastBytes(std::uint64_t triangles) {
     return nearFieldBytes((triangles + kTriangles - 1) / kTriangles);
 }
 
-/// What would hold it, in whole megabytes.
-std::string tooSmall(std::uint64_t needed, const BakeOptions& options,
-                     std::uint64_t budget) {
+}  // namespace
+
+std::string nearFieldTooSmall(std::uint64_t needed, const BakeOptions& options,
+                              std::uint64_t budget) {
     const std::uint64_t size = (needed + kMega - 1) / kMega;
     if (budget < options.nearField)
         return base::concat("it takes about ", size, "M, more than a quarter of the ",
@@ -27,18 +29,18 @@ std::string tooSmall(std::uint64_t needed, const BakeOptions& options,
                         "M would hold it");
 }
 
-}  // namespace
-
 Status bakeNearField(Visits& visits, const BakeOptions& options, const CasterKinds& kinds,
                      std::uint64_t bytesLeft, std::vector<MapFace>& faces,
                      BakeReport& report) {
     if (options.nearField == 0) return {};
-    if (kinds.translucent) {
+    if (kinds.media) {
         report.noNearField =
-            "only casters that are all opaque triangles have one, without alpha "
-            "textures, opacities below 1, hair and volumes";
+            "only casters that are all triangles have one, not hair and "
+            "volumes";
         return {};
     }
+    if (kinds.translucent)
+        return bakeNearSheets(visits, options, bytesLeft, faces, report);
     const WorkClock clock(visits);
     const std::uint64_t budget = std::min(options.nearField, bytesLeft / 4);
     const std::uint64_t most = budget / sizeof(NearChunk) * kTriangles;
@@ -57,7 +59,7 @@ Status bakeNearField(Visits& visits, const BakeOptions& options, const CasterKin
     report.nearBytes =
         counted ? leastBytes(report.nearTriangles + report.nearTriangles / 16) : bytes;
     if (report.nearBytes > budget) {
-        report.noNearField = tooSmall(report.nearBytes, options, budget);
+        report.noNearField = nearFieldTooSmall(report.nearBytes, options, budget);
         for (MapFace& face : faces)
             face.nearField = {};
     }

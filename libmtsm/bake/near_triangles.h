@@ -12,26 +12,25 @@
 #include <cstdint>
 #include <vector>
 
+#include "bake/straight_space.h"
 #include "bake/visits.h"
 #include "mtsm/bake.h"
 #include "mtsm/map.h"
 
 namespace mtsm::bake_detail {
 
-/// Pixels that a triangle may reach over: fewer than 65535 steps of 1/32.
-inline constexpr double kMostPixels = 2000.0;
-/// Pixels around the window.
-inline constexpr double kMargin = 64.0;
-
-struct NearTriangle {
-    float corner[3][3];  ///< [corner][u, v, w]
-};
-
 /// A face's triangles, or, once they were more than `most`, their number alone.
 struct NearTriangles {
     std::vector<NearTriangle> triangles;
+    /// [triangles]: of which of the mesh each is; only where it was asked for.
+    std::vector<std::uint32_t> sources = {};
     std::uint64_t count = 0;
 };
+
+/// Adds those of one mesh, with `sources` if asked for.
+void collectNearMesh(const MeshView& mesh, const Projection& projection,
+                     const StraightSpace& space, std::uint64_t most, bool sources,
+                     NearTriangles& all);
 
 /// The casters are opaque triangles. The same for any number of threads; in the order of
 /// the casters.

@@ -10,6 +10,7 @@
 #include "trace/density_trace.h"
 #include "trace/near_trace.h"
 #include "trace/patch_trace.h"
+#include "trace/sheet_trace.h"
 
 namespace mtsm::shadow {
 namespace {
@@ -30,6 +31,9 @@ constexpr double kNearDepth = 32.0;
 constexpr double kNearHeight = 0.01;
 /// Without normals: rays start this much nearer to the receiver.
 constexpr double kNearStart = 0.1;
+/// So few sheets answer all the way to the light; of more, the near field's depth.
+constexpr std::uint64_t kFewSheetChunks = 1u << 30;
+constexpr double kAllTheWay = 1e9;
 
 LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
                  const ShadowOptions& options, bool normals,
@@ -43,8 +47,8 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
     setting.normals = normals;
     setting.weights = normals && options.weight == Weight::cosine;
     setting.height = kPlaneHeight;
-    if (!map.nearField(0).empty()) {
-        setting.nearDepth = kNearDepth;
+    if (!map.nearField(0).empty() || !map.nearSheets(0).empty()) {
+        setting.nearDepth = BundleQuery::needsNoLayers(map) ? kAllTheWay : kNearDepth;
         setting.nearHeight = kNearHeight;
         setting.nearStart = kNearStart;
     }
@@ -83,8 +87,14 @@ bool BundleQuery::serves(const ShadowMap& map, const ShadowOptions& options) noe
     if (options.method != ShadowMethod::trace || map.faceCount() != 1 ||
         map.layerCount() == 0 || map.layerCount() > kMostLayers)
         return false;
-    if (map.isOpaque()) return true;
-    return options.attenuation == Attenuation::multiply && trace::densityTree(map);
+    if (map.isOpaque() && map.nearSheets(0).empty()) return true;
+    return options.attenuation == Attenuation::multiply &&
+           (map.isOpaque() || needsNoLayers(map) || trace::densityTree(map));
+}
+
+bool BundleQuery::needsNoLayers(const ShadowMap& map) noexcept {
+    const std::size_t chunks = map.nearSheets(0).chunks.size();
+    return chunks > 0 && chunks <= kFewSheetChunks;
 }
 
 BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
@@ -94,8 +104,10 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
       light_(light),
       options_(options),
       bias_(biasOf(map, options.bias)),
-      patches_(map.isOpaque() ? &trace::patchTrees(map)[0] : nullptr),
-      density_(map.isOpaque() ? nullptr : trace::densityTree(map)),
+      sheets_(map.nearSheets(0).empty() ? nullptr : &map.nearSheets(0)),
+      layers_(!needsNoLayers(map)),
+      patches_(layers_ && map.isOpaque() ? &trace::patchTrees(map)[0] : nullptr),
+      density_(layers_ && !map.isOpaque() ? trace::densityTree(map) : nullptr),
       media_(map.info().translucent == Translucent::media),
       samples_(light_.isPoint()
                    ? 1u
@@ -205,13 +217,27 @@ void BundleQuery::traceNear(trace::RayBundle& bundle,
         std::copy_n(fates.layersBegin[row], trace::kLanes, bundle.begin[row]);
 }
 
+/// The same for sheets: multiplies `visible` [row][lane] by what they leave.
+void BundleQuery::traceSheets(trace::RayBundle& bundle, const RayFates& fates,
+                              float (*visible)[trace::kLanes]) const noexcept {
+    trace::SheetTraceOptions options;
+    options.perspective = projection_.kind == ProjectionKind::perspective;
+    options.height = nearHeight_;
+    options.dark = float(thresholdOf(options_.threshold));
+    trace::traceSheets(*sheets_, options, bundle, fates.nearEnd, visible);
+    for (int row = 0; row < bundle.receivers * bundle.groups; ++row) {
+        std::copy_n(fates.layersBegin[row], trace::kLanes, bundle.begin[row]);
+        std::copy_n(fates.layersBegin[row], trace::kLanes, bundle.beginSurfaces[row]);
+    }
+}
+
 /// Adds what the bundle's rays leave of the light. `valid` [row]: the rays that there
 /// are.
 void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
                          const std::uint16_t* valid, bool weights,
                          Sums* sums) const noexcept {
     const int rows = bundle.receivers * bundle.groups;
-    if (patches_) {
+    if (patches_ && !sheets_) {
         if (!map_.nearField(0).empty()) traceNear(bundle, fates);
         trace::tracePatches(*patches_, bundle);
         for (int row = 0; row < rows; ++row) {
@@ -224,17 +250,13 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
         }
         return;
     }
+    if (sheets_) return followSheets(bundle, fates, valid, weights, sums);
     const std::uint32_t channels = map_.info().channels;
     std::uint16_t followed[trace::kMostRows];
     std::copy_n(bundle.open, rows, followed);
     trace::RayDepths depths;
-    for (std::uint32_t c = 0; c < channels; ++c)
-        std::fill_n(depths.depth[c][0], std::size_t(rows) * trace::kLanes, 0.0f);
-    trace::DensityTraceOptions options;
-    options.bias = bias_;
+    traceDensity(bundle, depths);
     const double threshold = thresholdOf(options_.threshold);
-    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
-    trace::traceDensity(*density_, options, bundle, depths);
     for (int row = 0; row < rows; ++row) {
         Sums& s = sums[row / bundle.groups];
         for (std::uint32_t rest = valid[row]; rest; rest &= rest - 1) {
@@ -250,6 +272,53 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
             s.visible += (weights ? fates.weight[row][i] : 1.0f) * v;
             s.least = std::min({s.least, v.x, v.y, v.z});
             s.most = std::max({s.most, v.x, v.y, v.z});
+        }
+    }
+}
+
+void BundleQuery::traceDensity(trace::RayBundle& bundle,
+                               trace::RayDepths& depths) const noexcept {
+    const std::size_t rays =
+        std::size_t(bundle.receivers * bundle.groups) * trace::kLanes;
+    for (std::uint32_t c = 0; c < map_.info().channels; ++c)
+        std::fill_n(depths.depth[c][0], rays, 0.0f);
+    trace::DensityTraceOptions options;
+    options.bias = bias_;
+    const double threshold = thresholdOf(options_.threshold);
+    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
+    trace::traceDensity(*density_, options, bundle, depths);
+}
+
+/// follow() of a map that has near sheets, and one channel.
+void BundleQuery::followSheets(trace::RayBundle& bundle, const RayFates& fates,
+                               const std::uint16_t* valid, bool weights,
+                               Sums* sums) const noexcept {
+    const int rows = bundle.receivers * bundle.groups;
+    alignas(64) float visible[trace::kMostRows][trace::kLanes];
+    std::fill_n(visible[0], std::size_t(rows) * trace::kLanes, 1.0f);
+    traceSheets(bundle, fates, visible);
+    if (patches_) trace::tracePatches(*patches_, bundle);
+    if (density_) {
+        trace::RayDepths depths;
+        traceDensity(bundle, depths);
+        for (int row = 0; row < rows; ++row) {
+            for (std::uint32_t open = bundle.open[row]; open; open &= open - 1) {
+                const int i = std::countr_zero(open);
+                visible[row][i] *= std::exp(-depths.depth[0][row][i]);
+            }
+        }
+    }
+    const auto threshold = float(thresholdOf(options_.threshold));
+    for (int row = 0; row < rows; ++row) {
+        Sums& s = sums[row / bundle.groups];
+        for (std::uint32_t rest = valid[row]; rest; rest &= rest - 1) {
+            const int i = std::countr_zero(rest);
+            float v = fates.clear[row] >> i & 1 ? 1.0f : 0.0f;
+            if (bundle.open[row] >> i & 1 && visible[row][i] > threshold)
+                v = visible[row][i];
+            s.visible += (weights ? fates.weight[row][i] : 1.0f) * v;
+            s.least = std::min(s.least, v);
+            s.most = std::max(s.most, v);
         }
     }
 }

@@ -12,6 +12,7 @@
 #include "mtsm/shadow.h"
 #include "shadow/light_rays.h"
 #include "shadow/query.h"
+#include "trace/density_trace.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
 
@@ -22,6 +23,8 @@ class BundleQuery {
     /// Can it answer such queries at all?
     [[nodiscard]] static bool serves(const ShadowMap& map,
                                      const ShadowOptions& options) noexcept;
+    /// Are all rays of the map followed through its near sheets, and none through layers?
+    [[nodiscard]] static bool needsNoLayers(const ShadowMap& map) noexcept;
 
     struct Receiver {
         glm::dvec3 point{0.0};
@@ -65,7 +68,13 @@ class BundleQuery {
 
     void follow(trace::RayBundle& bundle, const RayFates& fates,
                 const std::uint16_t* valid, bool weights, Sums* sums) const noexcept;
+    void followSheets(trace::RayBundle& bundle, const RayFates& fates,
+                      const std::uint16_t* valid, bool weights,
+                      Sums* sums) const noexcept;
+    void traceDensity(trace::RayBundle& bundle, trace::RayDepths& depths) const noexcept;
     void traceNear(trace::RayBundle& bundle, const RayFates& fates) const noexcept;
+    void traceSheets(trace::RayBundle& bundle, const RayFates& fates,
+                     float (*visible)[trace::kLanes]) const noexcept;
 
     const ShadowMap& map_;
     const Projection& projection_;
@@ -74,6 +83,8 @@ class BundleQuery {
     light::LightSampler light_;
     ShadowOptions options_;
     trace::ZBias bias_;
+    const NearSheets* sheets_;           // or null
+    bool layers_;                        // are they needed?
     const trace::PatchTree* patches_;    // of an opaque map
     const trace::DensityTree* density_;  // of any other
     bool media_;

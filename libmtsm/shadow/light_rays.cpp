@@ -435,7 +435,7 @@ class Rays {
                       fates_.layersBegin[row] + i);
             begin = nearBegin;
         }
-        if (in_.media) {
+        if (in_.media && !view_.near) {
             hn::Store(hn::Max(hn::Max(begin, surfaces), least), kF,
                       bundle_.beginSurfaces[row] + i);
             if (!in_.normals)

@@ -161,7 +161,8 @@ void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* p
 }  // namespace
 
 void prepareQueries(const ShadowMap& map) noexcept {
-    if (!shadow::BundleQuery::serves(map, {})) return;
+    using shadow::BundleQuery;
+    if (!BundleQuery::serves(map, {}) || BundleQuery::needsNoLayers(map)) return;
     if (map.isOpaque())
         (void)trace::patchTrees(map);
     else
@@ -170,7 +171,8 @@ void prepareQueries(const ShadowMap& map) noexcept {
 
 std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept {
     std::uint64_t bytes = map.memoryBytes();
-    if (!shadow::BundleQuery::serves(map, {})) return bytes;
+    using shadow::BundleQuery;
+    if (!BundleQuery::serves(map, {}) || BundleQuery::needsNoLayers(map)) return bytes;
     if (!map.isOpaque()) return bytes + trace::densityTree(map)->memoryBytes();
     for (const trace::PatchTree& tree : trace::patchTrees(map))
         bytes += tree.memoryBytes();

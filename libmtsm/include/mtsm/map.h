@@ -30,6 +30,7 @@
 
 #include "mtsm/light.h"
 #include "mtsm/near_field.h"
+#include "mtsm/near_sheets.h"
 #include "mtsm/result.h"
 
 namespace mtsm {
@@ -159,6 +160,8 @@ struct MapFace {
     /// Every triangle of the casters that reaches into the window, if all of them are
     /// opaque triangles; or empty.
     NearField nearField = {};
+    /// The same if some of them let light through and none is hair or a volume.
+    NearSheets nearSheets = {};
 };
 
 /// A pixel's layers, pointing into a map.
@@ -200,6 +203,10 @@ class ShadowMap {
     /// Empty if the map has none, whatever its layers are.
     [[nodiscard]] const NearField& nearField(std::uint32_t face) const noexcept {
         return faces_[face].nearField;
+    }
+    /// The same for maps of sheets; only those of one face and one channel have it.
+    [[nodiscard]] const NearSheets& nearSheets(std::uint32_t face) const noexcept {
+        return faces_[face].nearSheets;
     }
 
     [[nodiscard]] PixelLayers pixel(std::uint32_t face, std::uint32_t x,
