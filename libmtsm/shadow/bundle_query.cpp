@@ -31,9 +31,14 @@ constexpr double kNearDepth = 32.0;
 constexpr double kNearHeight = 0.01;
 /// Without normals: rays start this much nearer to the receiver.
 constexpr double kNearStart = 0.1;
-/// So few sheets answer all the way to the light; of more, the near field's depth.
-constexpr std::uint64_t kFewSheetChunks = 1u << 30;
-constexpr double kAllTheWay = 1e9;
+/// Sheets answer at least for so many pixel footprints of depth, and as far as the
+/// light's pyramid is narrower than so many pixels: beyond, texels are small beside the
+/// light.
+constexpr double kSheetDepth = 8.0;
+constexpr double kSheetWidth = 16.0;
+/// With sheets texels may be so much coarser: what a texel blurs is far from the
+/// receiver.
+constexpr float kSheetSpread = 2.0f;
 
 LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
                  const ShadowOptions& options, bool normals,
@@ -47,8 +52,10 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
     setting.normals = normals;
     setting.weights = normals && options.weight == Weight::cosine;
     setting.height = kPlaneHeight;
-    if (!map.nearField(0).empty() || !map.nearSheets(0).empty()) {
-        setting.nearDepth = BundleQuery::needsNoLayers(map) ? kAllTheWay : kNearDepth;
+    const bool sheets = !map.nearSheets(0).empty();
+    if (sheets || !map.nearField(0).empty()) {
+        setting.nearDepth = sheets ? kSheetDepth : kNearDepth;
+        setting.nearWidth = sheets ? kSheetWidth : 0.0;
         setting.nearHeight = kNearHeight;
         setting.nearStart = kNearStart;
     }
@@ -89,12 +96,7 @@ bool BundleQuery::serves(const ShadowMap& map, const ShadowOptions& options) noe
         return false;
     if (map.isOpaque() && map.nearSheets(0).empty()) return true;
     return options.attenuation == Attenuation::multiply &&
-           (map.isOpaque() || needsNoLayers(map) || trace::densityTree(map));
-}
-
-bool BundleQuery::needsNoLayers(const ShadowMap& map) noexcept {
-    const std::size_t chunks = map.nearSheets(0).chunks.size();
-    return chunks > 0 && chunks <= kFewSheetChunks;
+           (map.isOpaque() || trace::densityTree(map));
 }
 
 BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
@@ -105,9 +107,8 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
       options_(options),
       bias_(biasOf(map, options.bias)),
       sheets_(map.nearSheets(0).empty() ? nullptr : &map.nearSheets(0)),
-      layers_(!needsNoLayers(map)),
-      patches_(layers_ && map.isOpaque() ? &trace::patchTrees(map)[0] : nullptr),
-      density_(layers_ && !map.isOpaque() ? trace::densityTree(map) : nullptr),
+      patches_(map.isOpaque() ? &trace::patchTrees(map)[0] : nullptr),
+      density_(map.isOpaque() ? nullptr : trace::densityTree(map)),
       media_(map.info().translucent == Translucent::media),
       samples_(light_.isPoint()
                    ? 1u
@@ -299,6 +300,8 @@ void BundleQuery::followSheets(trace::RayBundle& bundle, const RayFates& fates,
     traceSheets(bundle, fates, visible);
     if (patches_) trace::tracePatches(*patches_, bundle);
     if (density_) {
+        for (float& spread : bundle.spread)
+            spread *= kSheetSpread;
         trace::RayDepths depths;
         traceDensity(bundle, depths);
         for (int row = 0; row < rows; ++row) {

@@ -23,8 +23,6 @@ class BundleQuery {
     /// Can it answer such queries at all?
     [[nodiscard]] static bool serves(const ShadowMap& map,
                                      const ShadowOptions& options) noexcept;
-    /// Are all rays of the map followed through its near sheets, and none through layers?
-    [[nodiscard]] static bool needsNoLayers(const ShadowMap& map) noexcept;
 
     struct Receiver {
         glm::dvec3 point{0.0};
@@ -84,7 +82,6 @@ class BundleQuery {
     ShadowOptions options_;
     trace::ZBias bias_;
     const NearSheets* sheets_;           // or null
-    bool layers_;                        // are they needed?
     const trace::PatchTree* patches_;    // of an opaque map
     const trace::DensityTree* density_;  // of any other
     bool media_;

@@ -261,8 +261,13 @@ class Starts {
         const Vec extentV = hn::Sub(slopes.highV, slopes.lowV);
         keep(hn::Sqrt(hn::Mul(area(), constant(1.0f / float(in_.samples)))),
              bundle_.spread);
-        const Vec depth = hn::MulAdd(constant(view_.nearPerW), hn::Abs(start_.z),
-                                     constant(view_.nearConstant));
+        Vec depth = hn::MulAdd(constant(view_.nearPerW), hn::Abs(start_.z),
+                               constant(view_.nearConstant));
+        if (view_.nearWidth > 0.0f) {
+            const Vec wide =
+                hn::Div(constant(view_.nearWidth), hn::Max(extentU, extentV));
+            depth = hn::IfThenElse(bounded, hn::Max(depth, wide), depth);
+        }
         hn::Store(depth, kF, bundle_.rise + first_);
         alignas(64) float widest[kN];
         const Vec away =
@@ -488,8 +493,7 @@ class Rays {
 
     /// s at which the ray leaves the depths that the near field answers for.
     Vec endOfNear(Vec rise) const {
-        const Vec depth = hn::MulAdd(constant(view_.nearPerW), hn::Abs(start_.z),
-                                     constant(view_.nearConstant));
+        const Vec depth = constant(bundle_.rise[receiver_]);
         const Vec dw = hn::Abs(rise);
         return hn::IfThenElse(hn::Gt(dw, depth), hn::Mul(depth, reciprocal(dw)),
                               constant(1.0f));
@@ -644,6 +648,7 @@ LightRays::LightRays(const Projection& p, std::uint32_t width, std::uint32_t hei
     view_.near = setting.nearDepth > 0.0;
     view_.nearHeight = float(setting.nearHeight * p.pixelFootprint(1.0));
     view_.nearStart = float(setting.nearStart);
+    view_.nearWidth = float(setting.nearWidth);
     const auto nearDepth = float(setting.nearDepth * p.pixelFootprint(1.0));
     view_.nearPerW = view_.perspective ? nearDepth : 0.0f;
     view_.nearConstant = view_.perspective ? 0.0f : nearDepth;

@@ -63,6 +63,9 @@ class LightRays {
         bool media = false, sheets = false;
         double height = 0.0;
         double nearDepth = 0.0, nearHeight = 0.0, nearStart = 1.0;
+        /// The near field reaches further where rays to the whole light lie closer
+        /// together than so many pixels.
+        double nearWidth = 0.0;
         std::optional<std::uint32_t> onlyKey;
     };
     /// `depths`: of all that there is to meet, biases included.
@@ -98,6 +101,7 @@ class LightRays {
         bool near;                     // is there a near field?
         float nearHeight, nearStart;   // see Setting
         float nearPerW, nearConstant;  // its depth, in w
+        float nearWidth;
     };
 
   private:

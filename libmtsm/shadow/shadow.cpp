@@ -161,8 +161,7 @@ void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* p
 }  // namespace
 
 void prepareQueries(const ShadowMap& map) noexcept {
-    using shadow::BundleQuery;
-    if (!BundleQuery::serves(map, {}) || BundleQuery::needsNoLayers(map)) return;
+    if (!shadow::BundleQuery::serves(map, {})) return;
     if (map.isOpaque())
         (void)trace::patchTrees(map);
     else
@@ -171,8 +170,7 @@ void prepareQueries(const ShadowMap& map) noexcept {
 
 std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept {
     std::uint64_t bytes = map.memoryBytes();
-    using shadow::BundleQuery;
-    if (!BundleQuery::serves(map, {}) || BundleQuery::needsNoLayers(map)) return bytes;
+    if (!shadow::BundleQuery::serves(map, {})) return bytes;
     if (!map.isOpaque()) return bytes + trace::densityTree(map)->memoryBytes();
     for (const trace::PatchTree& tree : trace::patchTrees(map))
         bytes += tree.memoryBytes();
