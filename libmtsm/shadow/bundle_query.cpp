@@ -7,7 +7,7 @@
 #include <glm/matrix.hpp>
 
 #include "base/sampling.h"
-#include "trace/density_trace.h"
+#include "trace/hair_trace.h"
 #include "trace/near_trace.h"
 #include "trace/patch_trace.h"
 
@@ -30,6 +30,20 @@ constexpr double kNearDepth = 32.0;
 constexpr double kNearHeight = 0.01;
 /// Without normals: rays start this much nearer to the receiver.
 constexpr double kNearStart = 0.1;
+/// Beside hair it answers until the light, from where the ray is, is so many pixels wide
+/// through the receiver; for at most and at least so many footprints of depth.
+constexpr double kHairWidth = 2.0;
+constexpr double kHairMost = 256.0, kHairLeast = 2.0;
+/// Strands begin to count so many footprints above a receiver without a normal: its own
+/// strand is thinner.
+constexpr double kHairStart = 0.3;
+
+/// Is what is close to receivers all in the map's near field? Strands cannot be all of
+/// what is opaque, and triangles not all of what is not.
+bool hasNear(const ShadowMap& map) {
+    if (map.isOpaque()) return !map.nearField(0).empty() && map.nearHair(0).empty();
+    return !map.nearHair(0).empty();
+}
 
 LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
                  const ShadowOptions& options, bool normals,
@@ -43,8 +57,11 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
     setting.normals = normals;
     setting.weights = normals && options.weight == Weight::cosine;
     setting.height = kPlaneHeight;
-    if (!map.nearField(0).empty()) {
-        setting.nearDepth = kNearDepth;
+    if (hasNear(map)) {
+        const bool hair = !map.nearHair(0).empty();
+        setting.nearDepth = hair ? kHairMost : kNearDepth;
+        setting.nearWidth = hair ? kHairWidth : 0.0;
+        setting.nearLeast = kHairLeast;
         setting.nearHeight = kNearHeight;
         setting.nearStart = kNearStart;
     }
@@ -97,6 +114,7 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
       patches_(map.isOpaque() ? &trace::patchTrees(map)[0] : nullptr),
       density_(map.isOpaque() ? nullptr : trace::densityTree(map)),
       media_(map.info().translucent == Translucent::media),
+      near_(hasNear(map)),
       samples_(light_.isPoint()
                    ? 1u
                    : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples))) {
@@ -196,13 +214,36 @@ void BundleQuery::setLane(const Receiver& receiver, int lane,
     lanes.key[lane] = keyOf(receiver);
 }
 
-/// What is close to the receivers, as exactly as the casters were given; leaves the
+/// The triangles close to the receivers, as exactly as the casters were given; leaves the
 /// bundle with the layers' part of the rays.
 void BundleQuery::traceNear(trace::RayBundle& bundle,
                             const RayFates& fates) const noexcept {
-    trace::traceNear(map_.nearField(0), bundle, fates.nearEnd, nearHeight_);
+    if (!map_.nearField(0).empty())
+        trace::traceNear(map_.nearField(0), bundle, fates.nearEnd, nearHeight_);
     for (int row = 0; row < bundle.receivers * bundle.groups; ++row)
         std::copy_n(fates.layersBegin[row], trace::kLanes, bundle.begin[row]);
+}
+
+/// The optical depths of the rays of a map that is not opaque; blocked rays are closed.
+void BundleQuery::followMedia(trace::RayBundle& bundle,
+                              trace::RayDepths& depths) const noexcept {
+    const std::uint32_t channels = map_.info().channels;
+    const std::size_t rays =
+        std::size_t(bundle.receivers * bundle.groups) * trace::kLanes;
+    for (std::uint32_t c = 0; c < channels; ++c)
+        std::fill_n(depths.depth[c][0], rays, 0.0f);
+    trace::DensityTraceOptions options;
+    options.bias = bias_;
+    const double threshold = thresholdOf(options_.threshold);
+    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
+    if (near_) {
+        trace::HairTraceOptions hair;
+        hair.height = nearHeight_;
+        hair.start = float(kHairStart);
+        hair.darkDepth = options.darkDepth;
+        trace::traceHair(map_.nearHair(0), projection_, hair, channels, bundle, depths);
+    }
+    trace::traceDensity(*density_, options, bundle, depths);
 }
 
 /// Adds what the bundle's rays leave of the light. `valid` [row]: the rays that there
@@ -212,7 +253,7 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
                          Sums* sums) const noexcept {
     const int rows = bundle.receivers * bundle.groups;
     if (patches_) {
-        if (!map_.nearField(0).empty()) traceNear(bundle, fates);
+        if (near_) traceNear(bundle, fates);
         trace::tracePatches(*patches_, bundle);
         for (int row = 0; row < rows; ++row) {
             const std::uint32_t left = bundle.open[row] | fates.clear[row];
@@ -224,17 +265,13 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
         }
         return;
     }
-    const std::uint32_t channels = map_.info().channels;
+    if (near_) traceNear(bundle, fates);
     std::uint16_t followed[trace::kMostRows];
     std::copy_n(bundle.open, rows, followed);
     trace::RayDepths depths;
-    for (std::uint32_t c = 0; c < channels; ++c)
-        std::fill_n(depths.depth[c][0], std::size_t(rows) * trace::kLanes, 0.0f);
-    trace::DensityTraceOptions options;
-    options.bias = bias_;
+    followMedia(bundle, depths);
+    const std::uint32_t channels = map_.info().channels;
     const double threshold = thresholdOf(options_.threshold);
-    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
-    trace::traceDensity(*density_, options, bundle, depths);
     for (int row = 0; row < rows; ++row) {
         Sums& s = sums[row / bundle.groups];
         for (std::uint32_t rest = valid[row]; rest; rest &= rest - 1) {

@@ -12,6 +12,7 @@
 #include "mtsm/shadow.h"
 #include "shadow/light_rays.h"
 #include "shadow/query.h"
+#include "trace/density_trace.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
 
@@ -66,6 +67,7 @@ class BundleQuery {
     void follow(trace::RayBundle& bundle, const RayFates& fates,
                 const std::uint16_t* valid, bool weights, Sums* sums) const noexcept;
     void traceNear(trace::RayBundle& bundle, const RayFates& fates) const noexcept;
+    void followMedia(trace::RayBundle& bundle, trace::RayDepths& depths) const noexcept;
 
     const ShadowMap& map_;
     const Projection& projection_;
@@ -77,6 +79,7 @@ class BundleQuery {
     const trace::PatchTree* patches_;    // of an opaque map
     const trace::DensityTree* density_;  // of any other
     bool media_;
+    bool near_;  // has the map a near field?
     std::uint32_t samples_;
     std::optional<LightRays> withNormals_, without_;
     // Axes of the light in light space, if they are the same for all points.
