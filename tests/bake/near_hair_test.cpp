@@ -13,6 +13,7 @@
 
 #include "bake/casters.h"
 #include "mtsm/bake.h"
+#include "mtsm/shadow.h"
 
 using namespace mtsm;
 using mtsm::test::Random;
@@ -259,4 +260,89 @@ TEST_CASE("a near field of hair does not depend on threads or on the order of st
     const auto& b = many.map.nearHair(0).chunks;
     REQUIRE(a.size() == b.size());
     CHECK(std::memcmp(a.data(), b.data(), a.size() * sizeof a[0]) == 0);
+}
+
+namespace {
+
+/// Part of the disk light that strands hide from a point, with flat ribbons that face the
+/// ray: a grid of points on the light in double.
+double hidden(const Hair& hair, const AreaLight& light, glm::dvec3 p) {
+    constexpr int kSide = 200;
+    double sum = 0.0;
+    int rays = 0;
+    for (int i = 0; i < kSide * kSide; ++i) {
+        const double x = (i % kSide + 0.5) / kSide * 2 - 1;
+        const double y = (i / kSide + 0.5) / kSide * 2 - 1;
+        if (x * x + y * y > 1.0) continue;
+        // The light looks down.
+        const glm::dvec3 way =
+            light.position + light.radius * glm::dvec3(x, 0, y) - p;
+        double left = 1.0;
+        for (std::size_t k = 0; k + 1 < hair.points.size(); k += 2) {
+            const glm::dvec3 a = hair.points[k], b = hair.points[k + 1];
+            const glm::dvec3 n = glm::normalize(glm::cross(b - a, way));
+            const glm::dvec3 across = glm::cross(n, b - a);
+            const double s = glm::dot(across, a - p) / glm::dot(across, way);
+            const glm::dvec3 at = p + s * way - a;
+            const double t = glm::dot(at, b - a) / glm::dot(b - a, b - a);
+            if (s > 0.0 && t >= 0.0 && t <= 1.0 &&
+                std::abs(glm::dot(at, n)) <= 0.5 * hair.widths[k])
+                left *= 1.0 - hair.opacities[k];
+        }
+        sum += 1.0 - left;
+        ++rays;
+    }
+    return sum / rays;
+}
+
+}  // namespace
+
+TEST_CASE("the shadow of hair is right beside the hair itself", "[bake][statistical]") {
+    // Thinner than a pixel of the map, up to two pixels above the points.
+    Hair hair;
+    hair.strand({{-0.8f, 0.02f, 0.0f}, {0.8f, 0.05f, 0.3f}}, 0.006f, 0.6f);
+    hair.strand({{-0.8f, 0.09f, 0.2f}, {0.8f, 0.01f, -0.1f}}, 0.009f, 0.4f);
+    BakeOptions o = lamp();
+    o.target = glm::dvec3(0, 0, 0);
+    o.fov = 0.5;
+    const Baked with = mustBake({hair.view()}, o);
+    o.nearField = 0;
+    const Baked without = mustBake({hair.view()}, o);
+    CHECK(with.map.projection(0).pixelFootprint(4.0) > 0.03);
+    std::vector<glm::dvec3> points, normals;
+    Random random(9);
+    for (int i = 0; i < 60; ++i) {
+        points.emplace_back(random.in(-0.7, 0.7), 0.0, random.in(-0.2, 0.4));
+        normals.emplace_back(0, 1, 0);
+    }
+    ShadowOptions query;
+    query.samples = 1024;
+    double errorWith = 0.0, errorWithout = 0.0, shadow = 0.0;
+    for (const bool withNormals : {true, false}) {
+        const auto ask = [&](const ShadowMap& map) {
+            std::vector<float> out(points.size());
+            shadowFactors(map, o.light, points.data(),
+                          withNormals ? normals.data() : nullptr, points.size(),
+                          out.data(), query);
+            return out;
+        };
+        const std::vector<float> a = ask(with.map), b = ask(without.map);
+        for (std::size_t i = 0; i < points.size(); ++i) {
+            const double expected = hidden(hair, o.light, points[i]);
+            // Without a normal strands count from 0.3 footprints on: 0.01.
+            CHECK(std::abs(a[i] - expected) < 0.03);
+            errorWith += std::abs(a[i] - expected) / double(2 * points.size());
+            errorWithout += std::abs(b[i] - expected) / double(2 * points.size());
+            shadow += expected / double(2 * points.size());
+            // Each by itself.
+            float alone = 0.0f;
+            shadowFactors(with.map, o.light, &points[i],
+                          withNormals ? &normals[i] : nullptr, 1, &alone, query);
+            CHECK(alone == a[i]);
+        }
+    }
+    INFO("mean errors " << errorWith << " and " << errorWithout << " of " << shadow);
+    CHECK(shadow > 0.01);
+    CHECK(errorWith < 0.001);
+    CHECK(errorWithout > 0.01);
 }
