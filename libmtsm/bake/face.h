@@ -17,6 +17,12 @@ struct CasterKinds {
     bool media = false;        ///< some caster is hair or a volume
 };
 
+/// Does it stop all light wherever it is, or none anywhere?
+[[nodiscard]] bool isSolid(const MeshView& mesh) noexcept;
+/// False: it is not there.
+[[nodiscard]] bool isThere(const StrandsView& strands) noexcept;
+[[nodiscard]] bool isThere(const VolumeView& volume) noexcept;
+
 /// Visits the casters until all is known.
 Result<CasterKinds> kindsOf(Visits& visits);
 

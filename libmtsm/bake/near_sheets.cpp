@@ -116,7 +116,7 @@ class Collection {
   public:
     Collection(const Projection& projection, const BakeOptions& options,
                std::uint64_t most)
-        : projection_(projection), space_(projection, options), most_(most) {}
+        : projection_(projection), options_(options), most_(most) {}
 
     void add(const MeshView& mesh);
 
@@ -127,10 +127,11 @@ class Collection {
   private:
     Sheets& sheetsFor(const NearTexture& texture);
     void addTextured(const MeshView& mesh, const NearTexture& texture,
-                     const NearTriangles& found);
+                     const std::vector<NearTriangle>& found,
+                     const std::vector<std::uint32_t>& sources);
 
     const Projection& projection_;
-    const StraightSpace space_;
+    const BakeOptions& options_;
     std::uint64_t most_;
 };
 
@@ -152,37 +153,38 @@ void Collection::add(const MeshView& mesh) {
     const bool textured = texture->texels.size() > 1;
     NearTriangles found;
     found.count = triangles;
-    collectNearMesh(mesh, projection_, space_, most_, textured, found);
+    std::vector<std::uint32_t> sources;
+    collectMesh(mesh, projection_, options_, most_, found, textured ? &sources : nullptr);
     triangles = found.count;
     if (triangles > most_) return;
-    if (textured) return addTextured(mesh, *texture, found);
+    if (textured) return addTextured(mesh, *texture, found.items, sources);
     std::vector<NearTriangle>& to = sheetsFor(*texture).triangles;
-    to.insert(to.end(), found.triangles.begin(), found.triangles.end());
+    to.insert(to.end(), found.items.begin(), found.items.end());
 }
 
 void Collection::addTextured(const MeshView& mesh, const NearTexture& texture,
-                             const NearTriangles& found) {
+                             const std::vector<NearTriangle>& found,
+                             const std::vector<std::uint32_t>& sources) {
     const raster::LightFromObject lightFromObject(projection_, mesh.worldFromObject);
     std::vector<NearTriangle> opaque;  // without coordinates
     Sheets& to = sheetsFor(texture);
-    for (std::size_t i = 0; i < found.triangles.size(); ++i) {
+    for (std::size_t i = 0; i < found.size(); ++i) {
         glm::dvec3 light[3];
         Coordinates uvs;
         for (std::size_t c = 0; c < 3; ++c) {
-            const std::uint32_t vertex =
-                mesh.indices[3 * std::size_t(found.sources[i]) + c];
+            const std::uint32_t vertex = mesh.indices[3 * std::size_t(sources[i]) + c];
             light[c] = lightFromObject(mesh.positions[vertex]);
             uvs[c] = glm::dvec2(mesh.uvs[vertex]);
         }
         if (!isFinite(uvs)) {
-            opaque.push_back(found.triangles[i]);
+            opaque.push_back(found[i]);
             continue;
         }
         const Mapping mapping(projection_, light, uvs);
         for (std::size_t c = 0; c < 3; ++c)
-            uvs[c] = mapping(found.triangles[i].corner[c]);
+            uvs[c] = mapping(found[i].corner[c]);
         reduce(texture, uvs);
-        to.triangles.push_back(found.triangles[i]);
+        to.triangles.push_back(found[i]);
         to.uvs.push_back(uvs);
     }
     if (opaque.empty()) return;
@@ -206,6 +208,9 @@ NearSheetChunk chunkOf(std::uint32_t texture, const Sheets& sheets,
                        const std::uint32_t* triangle) {
     NearSheetChunk chunk;
     chunk.texture = texture;
+    while (chunk.triangles > 1 &&
+           triangle[chunk.triangles - 2] == triangle[kTriangles - 1])
+        --chunk.triangles;
     if (sheets.uvs.empty()) return chunk;
     for (int axis = 0; axis < 2; ++axis) {
         double low = HUGE_VAL, high = -HUGE_VAL;

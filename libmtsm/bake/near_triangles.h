@@ -12,29 +12,42 @@
 #include <cstdint>
 #include <vector>
 
-#include "bake/straight_space.h"
 #include "bake/visits.h"
 #include "mtsm/bake.h"
 #include "mtsm/map.h"
 
 namespace mtsm::bake_detail {
 
-/// A face's triangles, or, once they were more than `most`, their number alone.
-struct NearTriangles {
-    std::vector<NearTriangle> triangles;
-    /// [triangles]: of which of the mesh each is; only where it was asked for.
-    std::vector<std::uint32_t> sources = {};
-    std::uint64_t count = 0;
+/// Pixels that a triangle may reach over: fewer than 65535 steps of 1/32.
+inline constexpr double kMostPixels = 2000.0;
+/// Pixels around the window.
+inline constexpr double kMargin = 64.0;
+
+struct NearTriangle {
+    float corner[3][3];  ///< [corner][u, v, w]
 };
 
-/// Adds those of one mesh, with `sources` if asked for.
-void collectNearMesh(const MeshView& mesh, const Projection& projection,
-                     const StraightSpace& space, std::uint64_t most, bool sources,
-                     NearTriangles& all);
+/// A face's triangles, or, once they were more than was allowed, their number alone.
+template <typename Item>
+struct NearItems {
+    std::vector<Item> items;
+    std::uint64_t count = 0;
 
-/// The casters are opaque triangles. The same for any number of threads; in the order of
-/// the casters.
-Result<NearTriangles> collectNear(Visits& visits, const Projection& projection,
-                                  const BakeOptions& options, std::uint64_t most);
+    void add(const std::vector<Item>& more, std::uint64_t most) {
+        count += more.size();
+        if (count > most)
+            items = {};
+        else
+            items.insert(items.end(), more.begin(), more.end());
+    }
+};
+using NearTriangles = NearItems<NearTriangle>;
+
+/// Appends those of a caster, which is opaque, while there are no more than `most`. In
+/// the order of the caster's, for any number of threads. `sources`, if not null, gets
+/// which of the mesh's triangles each is (of).
+void collectMesh(const MeshView& mesh, const Projection& projection,
+                 const BakeOptions& options, std::uint64_t most, NearTriangles& all,
+                 std::vector<std::uint32_t>* sources = nullptr);
 
 }  // namespace mtsm::bake_detail

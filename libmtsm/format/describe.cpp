@@ -98,6 +98,16 @@ void describeNearField(const ShadowMap& map, Description& d) {
         d.nearTriangles += field.triangles();
         d.nearChunks += field.chunks.size();
         d.nearBytes += nearFieldBytes(field.chunks.size());
+        const NearHair& hair = map.nearHair(face);
+        d.nearSegments += hair.segments();
+        d.nearChunks += hair.chunks.size();
+        d.nearBytes += nearHairBytes(hair.chunks.size());
+        const NearSheets& sheets = map.nearSheets(face);
+        for (const NearSheetChunk& chunk : sheets.chunks)
+            d.nearTriangles += chunk.triangles;
+        d.nearTextures += sheets.textures.size();
+        d.nearChunks += sheets.chunks.size();
+        d.nearBytes += mtsm::memoryBytes(sheets);
     }
 }
 

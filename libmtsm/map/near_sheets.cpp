@@ -68,6 +68,9 @@ Status checkCoordinates(const NearSheetChunk& chunk, std::size_t number,
     if (chunk.texture >= textures)
         return invalid(face, "chunk ", number, ": has texture ", chunk.texture, " of ",
                        textures);
+    if (chunk.triangles < 1 || chunk.triangles > NearChunk::kTriangles)
+        return invalid(face, "chunk ", number, ": has ", chunk.triangles,
+                       " triangles, must be 1 to ", NearChunk::kTriangles);
     for (int axis = 0; axis < 2; ++axis) {
         const float low = chunk.low[axis], step = chunk.step[axis];
         if (std::isfinite(low) && step >= 0.0f && std::isfinite(low + step * 65535.0f))
@@ -133,7 +136,6 @@ Status checkSheets(const NearSheets& sheets, const MapInfo& info, std::size_t fa
     if (sheets.chunks.size() != sheets.triangles.chunks.size())
         return invalid(face, sheets.chunks.size(), " chunks of texture coordinates for ",
                        sheets.triangles.chunks.size(), " chunks of triangles");
-    if (auto s = checkChunks(sheets.triangles, face); !s) return s;
     for (std::size_t i = 0; i < sheets.textures.size(); ++i) {
         if (auto s = checkTexture(sheets.textures[i], i, face); !s) return s;
     }
@@ -146,7 +148,6 @@ Status checkSheets(const NearSheets& sheets, const MapInfo& info, std::size_t fa
 }
 
 void buildSheets(NearSheets& sheets) {
-    buildBoxes(sheets.triangles);
     for (NearTexture& texture : sheets.textures)
         buildCorners(texture);
 }

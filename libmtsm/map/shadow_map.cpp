@@ -116,7 +116,7 @@ Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
     map.buildHierarchy();
     map.queryData_ = std::make_shared<base::Lazy>();
     for (MapFace& face : map.faces_) {
-        map_detail::buildBoxes(face.nearField);
+        map_detail::buildBoxes(face);
         map_detail::buildSheets(face.nearSheets);
     }
     return map;
@@ -164,9 +164,9 @@ Status ShadowMap::checkShape() const {
         if (faces_[face].tiles.size() != tilesX * tilesY)
             return invalid("face ", face, ": ", faces_[face].tiles.size(), " tiles, not ",
                            tilesX, " x ", tilesY);
-        if (auto s = map_detail::checkChunks(faces_[face].nearField, face); !s) return s;
-        if (auto s = map_detail::checkSheets(faces_[face].nearSheets, i, faces_.size(),
-                                             face);
+        if (auto s = map_detail::checkChunks(faces_[face], face); !s) return s;
+        if (auto s =
+                map_detail::checkSheets(faces_[face].nearSheets, i, faces_.size(), face);
             !s)
             return s;
     }
@@ -359,7 +359,8 @@ std::uint64_t ShadowMap::memoryBytes() const noexcept {
             bytes += sizeof(Tile) +
                      4 * (t.begin.size() + t.z.size() + t.v.size() + t.n.size());
         }
-        bytes += nearFieldBytes(face.nearField.chunks.size());
+        bytes += nearFieldBytes(face.nearField.chunks.size()) +
+                 nearHairBytes(face.nearHair.chunks.size());
         if (!face.nearSheets.empty()) bytes += mtsm::memoryBytes(face.nearSheets);
     }
     for (const auto& face : hierarchy_) {
@@ -448,6 +449,7 @@ bool identical(const ShadowMap& a, const ShadowMap& b) noexcept {
     for (std::uint32_t face = 0; face < a.faceCount(); ++face) {
         if (!same(a.projection(face), b.projection(face)) ||
             !map_detail::sameChunks(a.nearField(face), b.nearField(face)) ||
+            !map_detail::sameChunks(a.nearHair(face), b.nearHair(face)) ||
             !map_detail::sameSheets(a.nearSheets(face), b.nearSheets(face)))
             return false;
         for (std::uint32_t y = 0; y < a.info().height; ++y) {

@@ -4,11 +4,11 @@
 
 namespace mtsm::map_detail {
 
-/// What near_sheets.h states. Errors: badArgument.
+/// What near_sheets.h states, but for the triangles. Errors: badArgument.
 [[nodiscard]] Status checkSheets(const NearSheets& sheets, const MapInfo& info,
                                  std::size_t faces, std::uint32_t face);
 
-/// Fills the boxes of the triangles and NearTexture::corners. The same for any number of
+/// Fills NearTexture::corners. The same for any number of
 /// threads.
 void buildSheets(NearSheets& sheets);
 

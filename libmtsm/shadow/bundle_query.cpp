@@ -7,7 +7,7 @@
 #include <glm/matrix.hpp>
 
 #include "base/sampling.h"
-#include "trace/density_trace.h"
+#include "trace/hair_trace.h"
 #include "trace/near_trace.h"
 #include "trace/patch_trace.h"
 #include "trace/sheet_trace.h"
@@ -31,14 +31,26 @@ constexpr double kNearDepth = 32.0;
 constexpr double kNearHeight = 0.01;
 /// Without normals: rays start this much nearer to the receiver.
 constexpr double kNearStart = 0.1;
-/// Sheets answer at least for so many pixel footprints of depth, and as far as the
-/// light's pyramid is narrower than so many pixels: beyond, texels are small beside the
-/// light.
-constexpr double kSheetDepth = 8.0;
-constexpr double kSheetWidth = 16.0;
-/// With sheets texels may be so much coarser: what a texel blurs is far from the
-/// receiver.
+/// Beside hair it answers until the light, from where the ray is, is so many pixels wide
+/// through the receiver; for at most and at least so many footprints of depth.
+constexpr double kHairWidth = 2.0;
+constexpr double kHairMost = 256.0, kHairLeast = 2.0;
+/// Strands begin to count so many footprints above a receiver without a normal: its own
+/// strand is thinner.
+constexpr double kHairStart = 0.3;
+
+/// The same beside sheets, which are few.
+constexpr double kSheetWidth = 14.0;
+constexpr double kSheetMost = 1e6, kSheetLeast = 8.0;
+/// Texels may then be so much coarser: what one blurs is far from the receiver.
 constexpr float kSheetSpread = 2.0f;
+
+/// Is what is close to receivers all in the map's near field? Strands cannot be all of
+/// what is opaque, and triangles not all of what is not.
+bool hasNear(const ShadowMap& map) {
+    if (map.isOpaque()) return !map.nearField(0).empty() && map.nearHair(0).empty();
+    return !map.nearHair(0).empty();
+}
 
 LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
                  const ShadowOptions& options, bool normals,
@@ -52,10 +64,11 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
     setting.normals = normals;
     setting.weights = normals && options.weight == Weight::cosine;
     setting.height = kPlaneHeight;
-    const bool sheets = !map.nearSheets(0).empty();
-    if (sheets || !map.nearField(0).empty()) {
-        setting.nearDepth = sheets ? kSheetDepth : kNearDepth;
-        setting.nearWidth = sheets ? kSheetWidth : 0.0;
+    const bool hair = !map.nearHair(0).empty(), sheets = !map.nearSheets(0).empty();
+    if (sheets || hasNear(map)) {
+        setting.nearDepth = sheets ? kSheetMost : hair ? kHairMost : kNearDepth;
+        setting.nearWidth = sheets ? kSheetWidth : hair ? kHairWidth : 0.0;
+        setting.nearLeast = sheets ? kSheetLeast : kHairLeast;
         setting.nearHeight = kNearHeight;
         setting.nearStart = kNearStart;
     }
@@ -110,6 +123,7 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
       patches_(map.isOpaque() ? &trace::patchTrees(map)[0] : nullptr),
       density_(map.isOpaque() ? nullptr : trace::densityTree(map)),
       media_(map.info().translucent == Translucent::media),
+      near_(hasNear(map)),
       samples_(light_.isPoint()
                    ? 1u
                    : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples))) {
@@ -209,11 +223,12 @@ void BundleQuery::setLane(const Receiver& receiver, int lane,
     lanes.key[lane] = keyOf(receiver);
 }
 
-/// What is close to the receivers, as exactly as the casters were given; leaves the
+/// The triangles close to the receivers, as exactly as the casters were given; leaves the
 /// bundle with the layers' part of the rays.
 void BundleQuery::traceNear(trace::RayBundle& bundle,
                             const RayFates& fates) const noexcept {
-    trace::traceNear(map_.nearField(0), bundle, fates.nearEnd, nearHeight_);
+    if (!map_.nearField(0).empty())
+        trace::traceNear(map_.nearField(0), bundle, fates.nearEnd, nearHeight_);
     for (int row = 0; row < bundle.receivers * bundle.groups; ++row)
         std::copy_n(fates.layersBegin[row], trace::kLanes, bundle.begin[row]);
 }
@@ -232,14 +247,37 @@ void BundleQuery::traceSheets(trace::RayBundle& bundle, const RayFates& fates,
     }
 }
 
+/// The optical depths of the rays of a map that is not opaque; blocked rays are closed.
+void BundleQuery::followMedia(trace::RayBundle& bundle,
+                              trace::RayDepths& depths) const noexcept {
+    const std::uint32_t channels = map_.info().channels;
+    const std::size_t rays =
+        std::size_t(bundle.receivers * bundle.groups) * trace::kLanes;
+    for (std::uint32_t c = 0; c < channels; ++c)
+        std::fill_n(depths.depth[c][0], rays, 0.0f);
+    trace::DensityTraceOptions options;
+    options.bias = bias_;
+    const double threshold = thresholdOf(options_.threshold);
+    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
+    if (near_) {
+        trace::HairTraceOptions hair;
+        hair.height = nearHeight_;
+        hair.start = float(kHairStart);
+        hair.darkDepth = options.darkDepth;
+        trace::traceHair(map_.nearHair(0), projection_, hair, channels, bundle, depths);
+    }
+    trace::traceDensity(*density_, options, bundle, depths);
+}
+
 /// Adds what the bundle's rays leave of the light. `valid` [row]: the rays that there
 /// are.
 void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
                          const std::uint16_t* valid, bool weights,
                          Sums* sums) const noexcept {
     const int rows = bundle.receivers * bundle.groups;
-    if (patches_ && !sheets_) {
-        if (!map_.nearField(0).empty()) traceNear(bundle, fates);
+    if (sheets_) return followSheets(bundle, fates, valid, weights, sums);
+    if (patches_) {
+        if (near_) traceNear(bundle, fates);
         trace::tracePatches(*patches_, bundle);
         for (int row = 0; row < rows; ++row) {
             const std::uint32_t left = bundle.open[row] | fates.clear[row];
@@ -251,12 +289,12 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
         }
         return;
     }
-    if (sheets_) return followSheets(bundle, fates, valid, weights, sums);
-    const std::uint32_t channels = map_.info().channels;
+    if (near_) traceNear(bundle, fates);
     std::uint16_t followed[trace::kMostRows];
     std::copy_n(bundle.open, rows, followed);
     trace::RayDepths depths;
-    traceDensity(bundle, depths);
+    followMedia(bundle, depths);
+    const std::uint32_t channels = map_.info().channels;
     const double threshold = thresholdOf(options_.threshold);
     for (int row = 0; row < rows; ++row) {
         Sums& s = sums[row / bundle.groups];
@@ -277,19 +315,6 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
     }
 }
 
-void BundleQuery::traceDensity(trace::RayBundle& bundle,
-                               trace::RayDepths& depths) const noexcept {
-    const std::size_t rays =
-        std::size_t(bundle.receivers * bundle.groups) * trace::kLanes;
-    for (std::uint32_t c = 0; c < map_.info().channels; ++c)
-        std::fill_n(depths.depth[c][0], rays, 0.0f);
-    trace::DensityTraceOptions options;
-    options.bias = bias_;
-    const double threshold = thresholdOf(options_.threshold);
-    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
-    trace::traceDensity(*density_, options, bundle, depths);
-}
-
 /// follow() of a map that has near sheets, and one channel.
 void BundleQuery::followSheets(trace::RayBundle& bundle, const RayFates& fates,
                                const std::uint16_t* valid, bool weights,
@@ -303,7 +328,7 @@ void BundleQuery::followSheets(trace::RayBundle& bundle, const RayFates& fates,
         for (float& spread : bundle.spread)
             spread *= kSheetSpread;
         trace::RayDepths depths;
-        traceDensity(bundle, depths);
+        followMedia(bundle, depths);
         for (int row = 0; row < rows; ++row) {
             for (std::uint32_t open = bundle.open[row]; open; open &= open - 1) {
                 const int i = std::countr_zero(open);

@@ -69,8 +69,8 @@ class BundleQuery {
     void followSheets(trace::RayBundle& bundle, const RayFates& fates,
                       const std::uint16_t* valid, bool weights,
                       Sums* sums) const noexcept;
-    void traceDensity(trace::RayBundle& bundle, trace::RayDepths& depths) const noexcept;
     void traceNear(trace::RayBundle& bundle, const RayFates& fates) const noexcept;
+    void followMedia(trace::RayBundle& bundle, trace::RayDepths& depths) const noexcept;
     void traceSheets(trace::RayBundle& bundle, const RayFates& fates,
                      float (*visible)[trace::kLanes]) const noexcept;
 
@@ -85,6 +85,7 @@ class BundleQuery {
     const trace::PatchTree* patches_;    // of an opaque map
     const trace::DensityTree* density_;  // of any other
     bool media_;
+    bool near_;  // has the map a near field?
     std::uint32_t samples_;
     std::optional<LightRays> withNormals_, without_;
     // Axes of the light in light space, if they are the same for all points.

@@ -157,9 +157,10 @@ inline constexpr std::uint32_t kAllResets = 0xffffffffu;    ///< MapInfo::resets
 struct MapFace {
     Projection projection;
     std::vector<Tile> tiles;
-    /// Every triangle of the casters that reaches into the window, if all of them are
-    /// opaque triangles; or empty.
+    /// Every triangle and every segment of a strand of the casters that reaches into the
+    /// window, if all of them are opaque triangles and strands; or both empty.
     NearField nearField = {};
+    NearHair nearHair = {};
     /// The same if some of them let light through and none is hair or a volume.
     NearSheets nearSheets = {};
 };
@@ -207,6 +208,9 @@ class ShadowMap {
     /// The same for maps of sheets; only those of one face and one channel have it.
     [[nodiscard]] const NearSheets& nearSheets(std::uint32_t face) const noexcept {
         return faces_[face].nearSheets;
+    }
+    [[nodiscard]] const NearHair& nearHair(std::uint32_t face) const noexcept {
+        return faces_[face].nearHair;
     }
 
     [[nodiscard]] PixelLayers pixel(std::uint32_t face, std::uint32_t x,

@@ -21,17 +21,18 @@ namespace mtsm {
 
 /// How opaque the triangles of a chunk are, and where.
 struct NearSheetChunk {
-    std::uint32_t texture = 0;  ///< of NearSheets::textures
-    float low[2] = {};          ///< [u, v] of the texture, finite
-    float step[2] = {};         ///< [u, v], >= 0; low + 65535 * step is finite
-    /// [corner][u, v][triangle]; the repeats of the last one as well.
+    std::uint32_t texture = 0;     ///< of NearSheets::textures
+    std::uint32_t triangles = 16;  ///< 1..16; the chunk's others do not count
+    float low[2] = {};             ///< [u, v] of the texture, finite
+    float step[2] = {};            ///< [u, v], >= 0; low + 65535 * step is finite
+    /// [corner][u, v][triangle]
     std::uint16_t uv[3][2][NearChunk::kTriangles] = {};
 
     [[nodiscard]] float at(int corner, int axis, int triangle) const noexcept {
         return low[axis] + step[axis] * float(uv[corner][axis][triangle]);
     }
 };
-static_assert(sizeof(NearSheetChunk) == 212);
+static_assert(sizeof(NearSheetChunk) == 216);
 
 struct NearTexture {
     std::uint32_t width = 1, height = 1;  ///< 1..OpacityImage::kMostTexels
