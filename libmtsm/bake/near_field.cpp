@@ -97,8 +97,8 @@ Status bakeNearField(Visits& visits, const BakeOptions& options, const CasterKin
     if (others) {
         report.nearTriangles = report.nearSegments = 0;
         report.noNearField =
-            "only casters that are all opaque triangles and strands have one, without "
-            "alpha textures, meshes of opacity below 1 and volumes";
+            "only casters that are all opaque triangles and strands, or all triangles, "
+            "have one: no volumes, and no hair beside meshes that let light through";
     } else {
         report.nearBytes =
             counted ? bytesOf(report.nearTriangles, report.nearSegments) : bytes;

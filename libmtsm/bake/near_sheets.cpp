@@ -261,7 +261,7 @@ Status bakeNearSheets(Visits& visits, const BakeOptions& options, std::uint64_t 
                       std::vector<MapFace>& faces, BakeReport& report) {
     if (faces.size() != 1 || options.color) {
         report.noNearField =
-            "casters that let light through have one only in a map of one face without "
+            "only casters that are all opaque have one in a map of six faces or in "
             "colour";
         return {};
     }
@@ -278,7 +278,7 @@ Status bakeNearSheets(Visits& visits, const BakeOptions& options, std::uint64_t 
     if (!status) return status;
     report.nearTriangles = found.triangles;
     if (found.hasColouredMask) {
-        report.noNearField = "a mask of three channels has none";
+        report.noNearField = "only textures of one channel may have a cutoff in it";
     } else if (found.triangles > most) {
         // Chunks were not made: about one slot in 16 of them stays unused.
         const std::uint64_t slots = found.triangles + found.triangles / 16;

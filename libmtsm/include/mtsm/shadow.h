@@ -23,7 +23,8 @@
 // are pieces of tilted planes, which need no bias to close; and where the map has a near
 // field (mtsm/near_field.h), what lies within 32 pixel footprints of depth above the
 // receiver is met exactly; beside strands up to where the light, seen through the
-// receiver, is two pixels wide. Strands on which a receiver lies do not darken it where
+// receiver, is two pixels wide, and of sheets (mtsm/near_sheets.h) up to 14 pixels.
+// Strands on which a receiver lies do not darken it where
 // it lies. Visibility of media and sheets is kept to .0004. Maps of six
 // faces, Attenuation::subtract, single rays, and points further than 8 windows outside
 // the view are followed ray by ray: ShadowMethod::scalar, the definition.
