@@ -36,7 +36,7 @@ constexpr double kHairWidth = 2.0;
 constexpr double kHairMost = 256.0, kHairLeast = 2.0;
 /// Strands begin to count so many footprints above a receiver without a normal: its own
 /// strand is thinner.
-constexpr double kHairStart = 0.3;
+constexpr double kHairStart = 0.4;
 
 /// Is what is close to receivers all in the map's near field? Strands cannot be all of
 /// what is opaque, and triangles not all of what is not.
