@@ -117,6 +117,23 @@ struct Box {
     }
 };
 
+/// Which of the children overlap the box.
+std::uint32_t overlapping(const NearBoxes& boxes, const Box& box) {
+    const Floats d;
+    std::uint32_t found = 0;
+    for (std::size_t i = 0; i < NearBoxes::kChildren; i += hn::Lanes(d)) {
+        Mask overlap = hn::Le(hn::LoadU(d, boxes.low[0] + i), hn::Set(d, box.high[0]));
+        for (int axis = 0; axis < 3; ++axis) {
+            overlap = hn::And(overlap, hn::Le(hn::LoadU(d, boxes.low[axis] + i),
+                                              hn::Set(d, box.high[axis])));
+            overlap = hn::And(overlap, hn::Ge(hn::LoadU(d, boxes.high[axis] + i),
+                                              hn::Set(d, box.low[axis])));
+        }
+        found |= bitsOf(d, overlap) << i;
+    }
+    return found;
+}
+
 /// The corners of a chunk's triangles, and their boxes.
 struct Triangles {
     alignas(64) float corner[3][3][kTriangles];  // [corner][axis][triangle]
@@ -249,6 +266,21 @@ bool Walk::anyOpen(int receiver) const {
     return open != 0;
 }
 
+/// Where rays go that start between two corners, go sideways between two slopes, and come
+/// as far as `rise` in w.
+Box boxAround(const float (&startLow)[3], const float (&startHigh)[3],
+              const float (&lows)[3], const float (&highs)[3], float rise) {
+    Box box;
+    for (int axis = 0; axis < 3; ++axis) {
+        const float way = std::max(std::abs(lows[axis]), std::abs(highs[axis])) * rise;
+        const float away = std::max(std::abs(startLow[axis]), std::abs(startHigh[axis]));
+        const float margin = (away + way) * 2.0f * kMargin;
+        box.low[axis] = startLow[axis] + std::min(0.0f, lows[axis] * rise) - margin;
+        box.high[axis] = startHigh[axis] + std::max(0.0f, highs[axis] * rise) + margin;
+    }
+    return box;
+}
+
 /// Contains boxOf() of all its rays.
 void Walk::bound(int receiver) {
     if (!anyOpen(receiver)) return;
@@ -263,18 +295,11 @@ void Walk::bound(int receiver) {
     } else {
         float start[3];
         startOf(receiver, start);
-        const float rise = rays_.rise[receiver];
         const float lows[3] = {rays_.slopeLowU[receiver], rays_.slopeLowV[receiver],
                                0.0f};
         const float highs[3] = {rays_.slopeHighU[receiver], rays_.slopeHighV[receiver],
                                 1.0f};
-        for (int axis = 0; axis < 3; ++axis) {
-            const float way =
-                std::max(std::abs(lows[axis]), std::abs(highs[axis])) * rise;
-            const float margin = (std::abs(start[axis]) + way) * 2.0f * kMargin;
-            box.low[axis] = start[axis] + std::min(0.0f, lows[axis] * rise) - margin;
-            box.high[axis] = start[axis] + std::max(0.0f, highs[axis] * rise) + margin;
-        }
+        box = boxAround(start, start, lows, highs, rays_.rise[receiver]);
     }
     for (int axis = 0; axis < 3; ++axis) {
         low_[axis][receiver] = box.low[axis];
@@ -301,19 +326,8 @@ Box Walk::boxOf(int receiver, int row, int lane) const {
 }
 
 void Walk::node(std::size_t level, std::size_t index) {
-    const Floats d;
     const NearBoxes& boxes = field_.levels[level][index];
-    std::uint32_t found = 0;
-    for (std::size_t i = 0; i < NearBoxes::kChildren; i += hn::Lanes(d)) {
-        Mask overlap = hn::Le(hn::LoadU(d, boxes.low[0] + i), hn::Set(d, hull_.high[0]));
-        for (int axis = 0; axis < 3; ++axis) {
-            overlap = hn::And(overlap, hn::Le(hn::LoadU(d, boxes.low[axis] + i),
-                                              hn::Set(d, hull_.high[axis])));
-            overlap = hn::And(overlap, hn::Ge(hn::LoadU(d, boxes.high[axis] + i),
-                                              hn::Set(d, hull_.low[axis])));
-        }
-        found |= bitsOf(d, overlap) << i;
-    }
+    std::uint32_t found = overlapping(boxes, hull_);
     for (; found && lanesLeft_; found &= found - 1) {
         const int i = std::countr_zero(found);
         const std::size_t child = NearBoxes::kChildren * index + std::size_t(i);
@@ -465,6 +479,32 @@ void traceNearAt(const NearField& field, RayBundle& rays, const float (*end)[kLa
     Walk(field, rays, end, height).run();
 }
 
+/// Does a chunk's box overlap it? Depth first; gives up after some nodes.
+bool mayMeetAt(const NearField& field, const RayHull& hull, float rise) {
+    if (field.levels.empty()) return false;
+    const float startLow[3] = {hull.uLow, hull.vLow, hull.wLow};
+    const float startHigh[3] = {hull.uHigh, hull.vHigh, hull.wHigh};
+    const float lows[3] = {hull.slopeLowU, hull.slopeLowV, 0.0f};
+    const float highs[3] = {hull.slopeHighU, hull.slopeHighV, 1.0f};
+    const Box box = boxAround(startLow, startHigh, lows, highs, rise);
+    struct Node {
+        std::size_t level, index;
+    };
+    constexpr int kSize = 64;
+    Node stack[kSize] = {{field.levels.size() - 1, 0}};
+    for (int waiting = 1, looks = 0; waiting > 0; ++looks) {
+        const Node node = stack[--waiting];
+        std::uint32_t found = overlapping(field.levels[node.level][node.index], box);
+        if (found == 0) continue;
+        if (node.level == 0 || looks == kSize || waiting + std::popcount(found) > kSize)
+            return true;
+        for (; found; found &= found - 1)
+            stack[waiting++] = {node.level - 1, NearBoxes::kChildren * node.index +
+                                                    std::size_t(std::countr_zero(found))};
+    }
+    return false;
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace mtsm::trace
 HWY_AFTER_NAMESPACE();
@@ -473,10 +513,15 @@ HWY_AFTER_NAMESPACE();
 namespace mtsm::trace {
 
 HWY_EXPORT(traceNearAt);
+HWY_EXPORT(mayMeetAt);
 
 void traceNear(const NearField& field, RayBundle& rays, const float (*end)[kLanes],
                float height) noexcept {
     HWY_DYNAMIC_DISPATCH(traceNearAt)(field, rays, end, height);
+}
+
+bool mayMeet(const NearField& field, const RayHull& hull, float rise) noexcept {
+    return HWY_DYNAMIC_DISPATCH(mayMeetAt)(field, hull, rise);
 }
 
 }  // namespace mtsm::trace
