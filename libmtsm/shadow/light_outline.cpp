@@ -226,9 +226,12 @@ LightOutline::LightOutline(const Projection& p, const light::LightSampler& light
             store(o.axes[1], turn * seen.y);
         }
     }
-    for (int axis = 0; axis < 3; ++axis)
-        for (const auto& a : o.axes)
-            half_[axis] += std::abs(a[axis]);
+    for (int axis = 0; axis < 3; ++axis) {
+        const float a = std::abs(o.axes[0][axis]), b = std::abs(o.axes[1][axis]);
+        const bool round = seen.domain == light::LightView::Domain::disk;
+        half_[axis] += (round ? std::hypot(a, b) * (1.0f + 0x1p-20f) : a + b) +
+                       std::abs(o.axes[2][axis]);
+    }
     known_ = o.perspective != o.endless;
     if (!o.endless) return;
     // Of directions the box of slopes.

@@ -243,7 +243,8 @@ class Walk {
     [[nodiscard]] bool anyOpen(int receiver) const;
     [[nodiscard]] Box boxOf(int receiver, int row, int lane) const;
     void node(std::size_t level, std::size_t index);
-    [[nodiscard]] std::uint32_t lanesAt(const Box& box) const;
+    void findLanes(const NearBoxes& boxes, std::uint32_t children, int k,
+                   std::uint32_t* lanes) const;
     void chunk(const NearChunk& chunk, std::uint32_t lanes);
     [[nodiscard]] std::uint32_t trianglesFor(int lane, const Triangles& triangles) const;
     void cross(int lane, const SeenTriangles& seen, int t, const Box& box);
@@ -328,53 +329,53 @@ Box Walk::boxOf(int receiver, int row, int lane) const {
 void Walk::node(std::size_t level, std::size_t index) {
     const NearBoxes& boxes = field_.levels[level][index];
     std::uint32_t found = overlapping(boxes, hull_);
+    const std::size_t first = NearBoxes::kChildren * index;
+    if (level > 0) {
+        for (; found && lanesLeft_; found &= found - 1)
+            node(level - 1, first + std::size_t(std::countr_zero(found)));
+        return;
+    }
+    std::uint32_t lanes[NearBoxes::kChildren] = {};
+    for (int k = 0; k < kLanes; k += int(hn::Lanes(Floats())))
+        findLanes(boxes, found, k, lanes);
     for (; found && lanesLeft_; found &= found - 1) {
         const int i = std::countr_zero(found);
-        const std::size_t child = NearBoxes::kChildren * index + std::size_t(i);
-        if (level > 0) {
-            node(level - 1, child);
-            continue;
-        }
-        Box box;
-        for (int axis = 0; axis < 3; ++axis) {
-            box.low[axis] = boxes.low[axis][i];
-            box.high[axis] = boxes.high[axis][i];
-        }
-        const std::uint32_t lanes = lanesAt(box) & lanesLeft_;
-        if (lanes) chunk(field_.chunks[child], lanes);
+        if (lanes[i] & lanesLeft_)
+            chunk(field_.chunks[first + std::size_t(i)], lanes[i] & lanesLeft_);
     }
 }
 
-/// Receivers whose rays may meet something in the box that lies high enough above their
-/// planes.
-std::uint32_t Walk::lanesAt(const Box& box) const {
+/// Of as many receivers as a vector holds, from number k on: whose rays may meet
+/// something in a child's box that lies high enough above their planes. No branch depends
+/// on what is found.
+void Walk::findLanes(const NearBoxes& boxes, std::uint32_t children, int k,
+                     std::uint32_t* lanes) const {
     const Floats d;
-    std::uint32_t lanes = 0;
-    for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
-        Mask may = hn::Le(hn::Load(d, low_[0] + k), hn::Set(d, box.high[0]));
+    const auto load = [&](const float* p) { return hn::Load(d, p + k); };
+    const Vec low[3] = {load(low_[0]), load(low_[1]), load(low_[2])};
+    const Vec high[3] = {load(high_[0]), load(high_[1]), load(high_[2])};
+    const bool planes = rays_.hasPlanes;
+    const Vec zero = hn::Zero(d);
+    const Vec start[3] = {load(rays_.u), load(rays_.v), load(rays_.w)};
+    const Vec normal[3] = {planes ? load(rays_.planeU) : zero,
+                           planes ? load(rays_.planeV) : zero,
+                           planes ? load(rays_.planeW) : zero};
+    const Vec height = hn::Set(d, planes ? height_ : -kInfinity);
+    for (; children; children &= children - 1) {
+        const int i = std::countr_zero(children);
+        Mask may = hn::Ge(zero, zero);
+        Vec above = zero;
         for (int axis = 0; axis < 3; ++axis) {
+            const Vec boxLow = hn::Set(d, boxes.low[axis][i]);
+            const Vec boxHigh = hn::Set(d, boxes.high[axis][i]);
             may = hn::And(
-                may, hn::Le(hn::Load(d, low_[axis] + k), hn::Set(d, box.high[axis])));
-            may = hn::And(
-                may, hn::Ge(hn::Load(d, high_[axis] + k), hn::Set(d, box.low[axis])));
+                may, hn::And(hn::Le(low[axis], boxHigh), hn::Ge(high[axis], boxLow)));
+            // Of the box's corners the highest.
+            const Vec far = hn::IfThenElse(hn::Lt(normal[axis], zero), boxLow, boxHigh);
+            above = hn::Add(above, hn::Mul(normal[axis], hn::Sub(far, start[axis])));
         }
-        if (rays_.hasPlanes) {
-            const float* const normals[3] = {rays_.planeU, rays_.planeV, rays_.planeW};
-            const float* const starts[3] = {rays_.u, rays_.v, rays_.w};
-            Vec height = hn::Zero(d);
-            for (int axis = 0; axis < 3; ++axis) {
-                const Vec n = hn::Load(d, normals[axis] + k);
-                const Vec start = hn::Load(d, starts[axis] + k);
-                height = hn::Add(
-                    height,
-                    hn::Max(hn::Mul(n, hn::Sub(hn::Set(d, box.low[axis]), start)),
-                            hn::Mul(n, hn::Sub(hn::Set(d, box.high[axis]), start))));
-            }
-            may = hn::And(may, hn::Gt(height, hn::Set(d, height_)));
-        }
-        lanes |= bitsOf(d, may) << k;
+        lanes[i] |= bitsOf(d, hn::And(may, hn::Gt(above, height))) << k;
     }
-    return lanes;
 }
 
 void Walk::chunk(const NearChunk& chunk, std::uint32_t lanes) {

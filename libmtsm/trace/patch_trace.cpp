@@ -2,11 +2,11 @@
 // sixteen rays at a time.
 #include "trace/patch_trace.h"
 
+#include <hwy/cache_control.h>
 #include <algorithm>
 #include <bit>
 #include <cmath>
 #include <cstring>
-#include <hwy/cache_control.h>
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "trace/patch_trace.cpp"
