@@ -212,7 +212,7 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
 
 /// Does nothing lie between those that have all of the light above them and it?
 bool BundleQuery::isFree(const Outlook& starts) const noexcept {
-    std::optional<trace::RayHull> hull = outline_.hull(starts);
+    std::optional<trace::RayHull> hull = outline_.hull(starts, samples_);
     if (!hull) return false;
     if (!map_.nearField(0).empty()) {
         const bool perspective = projection_.kind == ProjectionKind::perspective;
