@@ -152,6 +152,14 @@ void BundleQuery::setLane(const Receiver& receiver, int lane,
     lanes.key[lane] = keyOf(receiver);
 }
 
+trace::DensityTraceOptions BundleQuery::densityOptions() const noexcept {
+    trace::DensityTraceOptions options;
+    options.bias = bias_;
+    const double threshold = thresholdOf(options_.threshold);
+    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
+    return options;
+}
+
 /// What is close to the receivers, as exactly as the casters were given; leaves the
 /// bundle with the layers' part of the rays.
 void BundleQuery::traceNear(trace::RayBundle& bundle,
@@ -186,11 +194,8 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
     trace::RayDepths depths;
     for (std::uint32_t c = 0; c < channels; ++c)
         std::fill_n(depths.depth[c][0], std::size_t(rows) * trace::kLanes, 0.0f);
-    trace::DensityTraceOptions options;
-    options.bias = bias_;
     const double threshold = thresholdOf(options_.threshold);
-    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
-    trace::traceDensity(*density_, options, bundle, depths);
+    trace::traceDensity(*density_, densityOptions(), bundle, depths);
     for (int row = 0; row < rows; ++row) {
         Sums& s = sums[row / bundle.groups];
         for (std::uint32_t rest = valid[row]; rest; rest &= rest - 1) {
@@ -223,7 +228,8 @@ bool BundleQuery::isFree(const Outlook& starts) const noexcept {
         if (trace::mayMeet(map_.nearField(0), *hull, depth(hull->wHigh))) return false;
         hull->wFirst += (1.0f - 0x1p-10f) * depth(hull->wLow);
     }
-    return !trace::mayMeet(*patches_, *hull);
+    return patches_ ? !trace::mayMeet(*patches_, *hull)
+                    : !trace::mayMeet(*density_, densityOptions(), *hull);
 }
 
 /// Tells of receivers in sixteens, all at once or in fewer and fewer.
@@ -256,7 +262,7 @@ void BundleQuery::glance(const Receiver* receivers, int count, Glance* told,
         for (std::uint32_t rest = outlooks[parts].below; rest; rest &= rest - 1)
             told[first + std::countr_zero(rest)] = Glance::dark;
     }
-    if (patches_) findLit(outlooks, parts, told);
+    findLit(outlooks, parts, told);
     const std::uint32_t rays = probes() ? std::uint32_t(trace::kLanes) : samples_;
     for (int i = 0; i < count; ++i)
         stats.rays += told[i] == Glance::lit ? rays : 0;

@@ -14,6 +14,7 @@
 #include "shadow/light_rays.h"
 #include "shadow/query.h"
 #include "shadow/receiver_places.h"
+#include "trace/density_trace.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
 
@@ -69,6 +70,7 @@ class BundleQuery {
 
     void follow(trace::RayBundle& bundle, const RayFates& fates,
                 const std::uint16_t* valid, bool weights, Sums* sums) const noexcept;
+    [[nodiscard]] trace::DensityTraceOptions densityOptions() const noexcept;
     void traceNear(trace::RayBundle& bundle, const RayFates& fates) const noexcept;
 
     const ShadowMap& map_;
