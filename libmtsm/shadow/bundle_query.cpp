@@ -14,10 +14,6 @@
 namespace mtsm::shadow {
 namespace {
 
-/// Points whose raster position is further from the window than this many times its size
-/// are left to the scalar trace.
-constexpr float kFarthestOutside = 8.0f;
-
 /// Trees count in 32 bits.
 constexpr std::uint64_t kMostLayers = std::uint64_t(1) << 28;
 
@@ -79,14 +75,6 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
                      light, setting);
 }
 
-/// Spreads the lowest 10 bits, two zeros between each.
-std::uint32_t spread(std::uint32_t x) {
-    x = (x | x << 16) & 0x030000ffu;
-    x = (x | x << 8) & 0x0300f00fu;
-    x = (x | x << 4) & 0x030c30c3u;
-    return (x | x << 2) & 0x09249249u;
-}
-
 float sum(std::uint32_t rays, const float* weights) {
     float total = 0.0f;
     for (; rays; rays &= rays - 1)
@@ -109,6 +97,8 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
     : map_(map),
       projection_(map.projection(0)),
       light_(light),
+      outline_(projection_, light_),
+      places_(map, light_),
       options_(options),
       bias_(biasOf(map, options.bias)),
       patches_(map.isOpaque() ? &trace::patchTrees(map)[0] : nullptr),
@@ -129,45 +119,11 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
     turn_ = glm::transpose(
         glm::dmat3(projection_.right, projection_.up, projection_.forward));
     const auto turn = [&](glm::dvec3 d) { return turned(d); };
-    const double width = map.info().width, height = map.info().height;
-    perWindow_ = {1.0 / width, 1.0 / height,
-                  1.0 / (projection_.pixelFootprint(1.0) * std::max(width, height))};
     axisX_ = turn(seen.x), axisY_ = turn(seen.y), axisZ_ = turn(seen.z);
     base_ = turn(seen.base);
     capHeight_ = seen.capHeight;
     nearHeight_ = float(kNearHeight * projection_.pixelFootprint(1.0));
     if (!seen.endless) centre_ = projection_.lightFromWorld(light_.centre());
-}
-
-std::optional<std::uint32_t> BundleQuery::placeOf(glm::dvec3 point) const noexcept {
-    const glm::dvec3 p = turned(point - projection_.eye);
-    const ZRange range = map_.zRange(0);
-    const bool perspective = projection_.kind == ProjectionKind::perspective;
-    // In floats a ray is as exact as its start: to an eighth of a pixel where layers are.
-    const double size = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-    if (!(size <= 0x1p20 * projection_.pixelFootprint(range.min))) return std::nullopt;
-    if (perspective && !(p.z > 0.5 * range.min)) return std::nullopt;
-    const auto w = perspective ? 1.0f / float(p.z) : 1.0f;
-    // In windows away from its middle; depth too.
-    const float places[] = {
-        (float(projection_.scale.x * p.x) * w + float(projection_.offset.x)) *
-                perWindow_.x -
-            0.5f,
-        (float(projection_.scale.y * p.y) * w + float(projection_.offset.y)) *
-                perWindow_.y -
-            0.5f,
-        (perspective ? 1.0f - range.max * w : float(p.z) - range.max) * perWindow_.z};
-    if (!(std::abs(places[0]) <= kFarthestOutside &&
-          std::abs(places[1]) <= kFarthestOutside))
-        return std::nullopt;
-    std::uint32_t place = 0;
-    for (int i = 0; i < 3; ++i) {
-        // Finest in the middle, and nothing is too far away.
-        const float near = places[i] / (1.0f + std::abs(places[i]));
-        const float cell = std::clamp(512.0f + 512.0f * near, 0.0f, 1023.0f);
-        place |= spread(std::uint32_t(cell)) << i;
-    }
-    return place;
 }
 
 std::uint32_t BundleQuery::keyOf(const Receiver& receiver) const noexcept {
@@ -214,6 +170,14 @@ void BundleQuery::setLane(const Receiver& receiver, int lane,
     lanes.key[lane] = keyOf(receiver);
 }
 
+trace::DensityTraceOptions BundleQuery::densityOptions() const noexcept {
+    trace::DensityTraceOptions options;
+    options.bias = bias_;
+    const double threshold = thresholdOf(options_.threshold);
+    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
+    return options;
+}
+
 /// The triangles close to the receivers, as exactly as the casters were given; leaves the
 /// bundle with the layers' part of the rays.
 void BundleQuery::traceNear(trace::RayBundle& bundle,
@@ -232,10 +196,7 @@ void BundleQuery::followMedia(trace::RayBundle& bundle,
         std::size_t(bundle.receivers * bundle.groups) * trace::kLanes;
     for (std::uint32_t c = 0; c < channels; ++c)
         std::fill_n(depths.depth[c][0], rays, 0.0f);
-    trace::DensityTraceOptions options;
-    options.bias = bias_;
-    const double threshold = thresholdOf(options_.threshold);
-    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
+    const trace::DensityTraceOptions options = densityOptions();
     if (near_) {
         trace::HairTraceOptions hair;
         hair.height = nearHeight_;
@@ -289,6 +250,64 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
             s.most = std::max({s.most, v.x, v.y, v.z});
         }
     }
+}
+
+/// Does nothing lie between those that have all of the light above them and it?
+bool BundleQuery::isFree(const Outlook& starts) const noexcept {
+    std::optional<trace::RayHull> hull = outline_.hull(starts, samples_);
+    if (!hull) return false;
+    if (near_) {
+        const bool hair = !map_.nearHair(0).empty();
+        const bool perspective = projection_.kind == ProjectionKind::perspective;
+        const auto depth = [&](double footprints, float w) {
+            return float(footprints * projection_.pixelFootprint(1.0)) *
+                   (perspective ? w : 1.0f);
+        };
+        const float most = depth(hair ? kHairMost : kNearDepth, hull->wHigh);
+        if (trace::mayMeet(map_.nearField(0).levels, *hull, most) ||
+            trace::mayMeet(map_.nearHair(0).levels, *hull, most))
+            return false;
+        hull->wFirst +=
+            (1.0f - 0x1p-10f) * depth(hair ? kHairLeast : kNearDepth, hull->wLow);
+    }
+    return patches_ ? !trace::mayMeet(*patches_, *hull)
+                    : !trace::mayMeet(*density_, densityOptions(), *hull);
+}
+
+/// Tells of receivers in sixteens, all at once or in fewer and fewer.
+void BundleQuery::findLit(Outlook* outlooks, int count, Glance* told) const noexcept {
+    Outlook all;
+    for (int i = 0; i < count; ++i)
+        all.include(outlooks[i]);
+    if (all.above == 0) return;
+    if (isFree(all)) {
+        for (int i = 0; i < count; ++i) {
+            for (std::uint32_t rest = outlooks[i].above; rest; rest &= rest - 1)
+                told[i * trace::kMostReceivers + std::countr_zero(rest)] = Glance::lit;
+        }
+    } else if (count > 1) {
+        const int part = (count + 3) / 4;
+        for (int first = 0; first < count; first += part)
+            findLit(outlooks + first, std::min(part, count - first),
+                    told + first * trace::kMostReceivers);
+    }
+}
+
+void BundleQuery::glance(const Receiver* receivers, int count, Glance* told,
+                         QueryStats& stats) const noexcept {
+    std::fill_n(told, count, Glance::unknown);
+    Outlook outlooks[kMostGlances / trace::kMostReceivers];
+    int parts = 0;
+    for (int first = 0; first < count; first += trace::kMostReceivers, ++parts) {
+        outlooks[parts] = outline_.outlook(
+            receivers + first, std::min(count - first, trace::kMostReceivers));
+        for (std::uint32_t rest = outlooks[parts].below; rest; rest &= rest - 1)
+            told[first + std::countr_zero(rest)] = Glance::dark;
+    }
+    findLit(outlooks, parts, told);
+    const std::uint32_t rays = probes() ? std::uint32_t(trace::kLanes) : samples_;
+    for (int i = 0; i < count; ++i)
+        stats.rays += told[i] == Glance::lit ? rays : 0;
 }
 
 bool BundleQuery::probes() const noexcept {

@@ -10,8 +10,10 @@
 #include "light/sample.h"
 #include "mtsm/map.h"
 #include "mtsm/shadow.h"
+#include "shadow/light_outline.h"
 #include "shadow/light_rays.h"
 #include "shadow/query.h"
+#include "shadow/receiver_places.h"
 #include "trace/density_trace.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
@@ -24,19 +26,19 @@ class BundleQuery {
     [[nodiscard]] static bool serves(const ShadowMap& map,
                                      const ShadowOptions& options) noexcept;
 
-    struct Receiver {
-        glm::dvec3 point{0.0};
-        /// Any length; zero: none, for all of a call or none.
-        glm::dvec3 normal{0.0};
-    };
     /// `only`: nothing else will be asked for.
     BundleQuery(const ShadowMap& map, const AreaLight& light,
                 const ShadowOptions& options, const Receiver* only = nullptr);
 
-    /// A number below 2^30 that is close for points whose rays take much the same way;
-    /// nothing for points that it cannot answer: far outside the view, rays in float are
-    /// too coarse. The point must be finite and not behind the light.
-    [[nodiscard]] std::optional<std::uint32_t> placeOf(glm::dvec3 point) const noexcept;
+    [[nodiscard]] const ReceiverPlaces& places() const noexcept { return places_; }
+
+    /// What can be told of receivers without their rays.
+    enum class Glance : std::uint8_t { unknown, lit, dark };
+    static constexpr int kMostGlances = 256;
+    /// Of 1 to kMostGlances receivers, better if they are neighbours; counts the rays
+    /// that they would take. What it tells is what the rays would.
+    void glance(const Receiver* receivers, int count, Glance* told,
+                QueryStats& stats) const noexcept;
 
     /// What is known of a receiver.
     struct Sums {
@@ -58,6 +60,8 @@ class BundleQuery {
     [[nodiscard]] glm::vec3 factorsOf(const Sums& sums, bool probed) const noexcept;
 
   private:
+    void findLit(Outlook* outlooks, int count, Glance* told) const noexcept;
+    [[nodiscard]] bool isFree(const Outlook& starts) const noexcept;
     [[nodiscard]] std::uint32_t keyOf(const Receiver& receiver) const noexcept;
     [[nodiscard]] glm::dvec3 turned(glm::dvec3 direction) const noexcept {
         return turn_ * direction;
@@ -66,14 +70,16 @@ class BundleQuery {
 
     void follow(trace::RayBundle& bundle, const RayFates& fates,
                 const std::uint16_t* valid, bool weights, Sums* sums) const noexcept;
+    [[nodiscard]] trace::DensityTraceOptions densityOptions() const noexcept;
     void traceNear(trace::RayBundle& bundle, const RayFates& fates) const noexcept;
     void followMedia(trace::RayBundle& bundle, trace::RayDepths& depths) const noexcept;
 
     const ShadowMap& map_;
     const Projection& projection_;
-    glm::dmat3 turn_;      // world to light space
-    glm::vec3 perWindow_;  // placeOf: one over the window's sides and its depth
+    glm::dmat3 turn_;  // world to light space
     light::LightSampler light_;
+    LightOutline outline_;
+    ReceiverPlaces places_;
     ShadowOptions options_;
     trace::ZBias bias_;
     const trace::PatchTree* patches_;    // of an opaque map
