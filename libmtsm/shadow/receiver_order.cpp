@@ -34,7 +34,7 @@ void radixSort(std::vector<Entry>& entries) {
 ReceiverOrder::ReceiverOrder(const Query& query, const BundleQuery& bundles,
                              const glm::dvec3* points, const glm::dvec3* normals,
                              std::size_t count)
-    : sorted_(count) {
+    : sorted_(count), together_(3u << 30 | bundles.sameFace()) {
     base::parallelRanges(
         std::size_t(0), count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
             for (std::size_t i = begin; i < end; ++i) {
@@ -59,7 +59,7 @@ ReceiverOrder::Group ReceiverOrder::group(std::size_t first,
     if (kind == Kind::alone) return {1, false};
     std::size_t count = 1;
     while (count < std::size_t(trace::kMostReceivers) && first + count < end &&
-           sorted_[first + count].kind() == kind)
+           ((sorted_[first + count].key ^ sorted_[first].key) & together_) == 0)
         ++count;
     return {count, true};
 }

@@ -34,6 +34,7 @@ class ReceiverOrder {
         [[nodiscard]] Kind kind() const noexcept { return Kind(key >> 30); }
     };
     std::vector<Entry> sorted_;
+    std::uint32_t together_;  // bits of a key that a group has in common
 };
 
 }  // namespace mtsm::shadow

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <mutex>
+#include <new>
 
 #include "base/finite.h"
 #include "base/message.h"
@@ -62,9 +63,11 @@ class Groups {
         const bool probes = bundles_.probes();
         bundles_.look(receivers, int(count), probes ? Part::probe : Part::all, sums,
                       stats_);
-        // Those that wait have normals as well, or none has.
-        if (waiting_ > 0 && shadow::saysSomething(receivers[0].normal) !=
-                                shadow::saysSomething(receivers_[0].normal))
+        // Those that wait have normals as well, or none has; and are of the same face.
+        if (waiting_ > 0 &&
+            (shadow::saysSomething(receivers[0].normal) !=
+                 shadow::saysSomething(receivers_[0].normal) ||
+             bundles_.faceOf(receivers[0].point) != bundles_.faceOf(receivers_[0].point)))
             finish();
         for (std::size_t k = 0; k < count; ++k) {
             if (!probes || !shadow::BundleQuery::isMixed(sums[k])) {
@@ -132,48 +135,72 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
     base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
 }
 
+/// Many points at once.
+template <typename Take>
+void answerBundles(const shadow::Query& query, const ShadowMap& map,
+                   const AreaLight& light, const glm::dvec3* points,
+                   const glm::dvec3* normals, std::size_t count,
+                   const ShadowOptions& options, QueryStats& stats, const Take& take) {
+    // What a point that is not finite is asked with does not matter.
+    const shadow::BundleQuery::Receiver only{
+        points[0], normals ? shadow::unitNormal(normals[0]) : glm::dvec3(0.0)};
+    const shadow::BundleQuery bundles(map, light, options, count == 1 ? &only : nullptr);
+    // Orders count in 32 bits.
+    constexpr std::size_t kAtOnce = std::size_t(1) << 30;
+    for (std::size_t first = 0; first < count; first += kAtOnce) {
+        answerGroups(query, bundles, points + first, normals ? normals + first : nullptr,
+                     std::min(kAtOnce, count - first), stats,
+                     [&](std::size_t i, glm::vec3 factor) { take(first + i, factor); });
+    }
+}
+
 template <typename Take>
 void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
                const glm::dvec3* normals, std::size_t count, const ShadowOptions& options,
-               QueryStats* stats, const Take& take) {
+               QueryStats* stats, const Take& take) noexcept {
     if (count == 0) return;
     const shadow::Query query(map, light, options);
     QueryStats met;
-    if (shadow::BundleQuery::serves(map, options)) {
-        const shadow::BundleQuery::Receiver only{
-            points[0], normals ? shadow::unitNormal(normals[0]) : glm::dvec3(0.0)};
-        const shadow::BundleQuery bundles(map, light, options,
-                                          count == 1 ? &only : nullptr);
-        // Orders count in 32 bits.
-        constexpr std::size_t kAtOnce = std::size_t(1) << 30;
-        for (std::size_t first = 0; first < count; first += kAtOnce) {
-            answerGroups(
-                query, bundles, points + first, normals ? normals + first : nullptr,
-                std::min(kAtOnce, count - first), met,
-                [&](std::size_t i, glm::vec3 factor) { take(first + i, factor); });
-        }
-    } else {
-        answerEach(query, points, normals, count, met, take);
+    try {
+        if (shadow::BundleQuery::serves(map, light, options))
+            answerBundles(query, map, light, points, normals, count, options, met, take);
+        else
+            answerEach(query, points, normals, count, met, take);
+    } catch (const std::bad_alloc&) {
+        // By ray nothing is needed.
+        met = {};
+        for (std::size_t i = 0; i < count; ++i)
+            take(i, query.shadowFactor(points[i], normals ? normals[i] : glm::dvec3(0.0),
+                                       met));
     }
     if (stats) add(*stats, met);
+}
+
+/// What queries of the map go through, made if need be.
+bool hasTrees(const ShadowMap& map) {
+    try {
+        return shadow::BundleQuery::serves(map, map.info().light, {});
+    } catch (const std::bad_alloc&) {
+        return false;
+    }
 }
 
 }  // namespace
 
 void prepareQueries(const ShadowMap& map) noexcept {
-    if (!shadow::BundleQuery::serves(map, {})) return;
-    if (map.isOpaque())
-        (void)trace::patchTrees(map);
-    else
-        (void)trace::densityTree(map);
+    (void)hasTrees(map);
 }
 
 std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept {
     std::uint64_t bytes = map.memoryBytes();
-    if (!shadow::BundleQuery::serves(map, {})) return bytes;
-    if (!map.isOpaque()) return bytes + trace::densityTree(map)->memoryBytes();
-    for (const trace::PatchTree& tree : trace::patchTrees(map))
-        bytes += tree.memoryBytes();
+    if (!hasTrees(map)) return bytes;
+    if (map.isOpaque()) {
+        for (const trace::PatchTree& tree : *trace::patchTrees(map))
+            bytes += tree.memoryBytes();
+    } else {
+        for (const trace::DensityTree& tree : *trace::densityTrees(map))
+            bytes += tree.memoryBytes();
+    }
     return bytes;
 }
 
