@@ -8,6 +8,7 @@
 #include <glm/matrix.hpp>
 
 #include "base/sampling.h"
+#include "shadow/map_faces.h"
 #include "trace/density_trace.h"
 #include "trace/near_trace.h"
 #include "trace/patch_trace.h"
@@ -19,60 +20,15 @@ namespace {
 /// are left to the scalar trace.
 constexpr float kFarthestOutside = 8.0f;
 
-/// Trees count in 32 bits.
-constexpr std::uint64_t kMostLayers = std::uint64_t(1) << 28;
-
-// Measured (tests/bench/NOTES.md): twice the depth halves the error next to receivers and
-// costs little; lower planes leave acne, higher ones lose contact.
-/// The near field answers for so many pixel footprints of depth.
-constexpr double kNearDepth = 32.0;
-/// Its triangles are the receiver's own no higher than this above its tangent plane, in
-/// pixel footprints: they lie on a grid of 1/256 of one, mostly.
+// Measured (tests/bench/NOTES.md): lower planes leave acne, higher ones lose contact.
+/// Triangles of the near field are the receiver's own no higher than this above its
+/// tangent plane, in pixel footprints: they lie on a grid of 1/256 of one, mostly.
 constexpr double kNearHeight = 0.01;
 /// Without normals: rays start this much nearer to the receiver.
 constexpr double kNearStart = 0.1;
 
-/// Faces without triangles beside others that have some have none for good.
-bool hasNearField(const ShadowMap& map) {
-    for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
-        if (!map.nearField(face).empty()) return true;
-    }
-    return false;
-}
-
-/// Do the faces share out space among them, with windows of 90 degrees?
-bool isCube(const ShadowMap& map) {
-    constexpr double kSlack = 1e-9;
-    const auto same = [](double a, double b) { return std::abs(a - b) <= kSlack; };
-    const double size = map.info().width;
-    if (map.faceCount() != 6 || map.info().height != map.info().width) return false;
-    for (std::uint32_t f = 0; f < 6; ++f) {
-        const Projection& p = map.projection(f);
-        if (p.kind != ProjectionKind::perspective || p.eye != map.projection(0).eye ||
-            !same(p.scale.x / size, 0.5) || !same(p.scale.y / size, -0.5) ||
-            !same(p.offset.x / size, 0.5) || !same(p.offset.y / size, 0.5))
-            return false;
-        int opposite = 0, across = 0;
-        for (std::uint32_t g = 0; g < 6; ++g) {
-            const double cosine = glm::dot(p.forward, map.projection(g).forward);
-            opposite += same(cosine, -1.0);
-            across += same(cosine, 0.0);
-        }
-        const Projection& first = map.projection(0);
-        const auto alongAxis = [&](glm::dvec3 d) {
-            return same(std::abs(glm::dot(d, first.right)) +
-                            std::abs(glm::dot(d, first.up)) +
-                            std::abs(glm::dot(d, first.forward)),
-                        1.0);
-        };
-        if (opposite != 1 || across != 4 || !alongAxis(p.right) || !alongAxis(p.up))
-            return false;
-    }
-    return true;
-}
-
 LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& light,
-                             const ShadowOptions& options, bool normals,
+                             const ShadowOptions& options, bool nearField, bool normals,
                              std::optional<std::uint32_t> onlyKey) {
     LightRays::Setting setting;
     setting.seed = options.seed;
@@ -83,7 +39,7 @@ LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& li
     setting.normals = normals;
     setting.weights = normals && options.weight == Weight::cosine;
     setting.height = kPlaneHeight;
-    if (hasNearField(map)) {
+    if (nearField) {
         setting.nearDepth = kNearDepth;
         setting.nearHeight = kNearHeight;
         setting.nearStart = kNearStart;
@@ -94,23 +50,6 @@ LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& li
     setting.joined = map.faceCount() > 1;
     setting.ways = setting.joined && setting.media;
     return setting;
-}
-
-/// Depths within which rays of a face may meet something; of one without layers, those
-/// of all faces.
-ZRange depthsOf(const ShadowMap& map, std::uint32_t face, float asked) {
-    ZRange depths = map.zRange(face);
-    if (depths.empty()) {
-        for (std::uint32_t f = 0; f < map.faceCount(); ++f)
-            depths.include(map.zRange(f));
-    }
-    // Sheets are met within two biases.
-    const trace::ZBias bias = biasOf(map, asked);
-    const bool perspective = map.projection(face).kind == ProjectionKind::perspective;
-    const auto nearest = float(depths.min - 2.0 * bias.at(depths.min));
-    depths.min = perspective ? std::max(nearest, depths.min * 0x1p-10f) : nearest;
-    depths.max += float(2.0 * bias.at(depths.max));
-    return depths;
 }
 
 /// Spreads the lowest 10 bits, two zeros between each.
@@ -132,13 +71,9 @@ float sum(std::uint32_t rays, const float* weights) {
 
 bool BundleQuery::serves(const ShadowMap& map, const AreaLight& light,
                          const ShadowOptions& options) {
-    if (options.method != ShadowMethod::trace || map.layerCount() == 0 ||
-        map.layerCount() > kMostLayers)
-        return false;
-    if (map.faceCount() > 1 && (light.shape == LightShape::sun || !isCube(map)))
-        return false;
-    if (map.isOpaque()) return trace::patchTrees(map);
-    return options.attenuation == Attenuation::multiply && trace::densityTrees(map);
+    if (options.method != ShadowMethod::trace) return false;
+    if (map.faceCount() > 1 && light.shape == LightShape::sun) return false;
+    return hasTrees(map, options.attenuation);
 }
 
 BundleQuery::Face::Face(const ShadowMap& map, std::uint32_t number, ZRange reach,
@@ -177,7 +112,6 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
       options_(options),
       bias_(biasOf(map, options.bias)),
       opaque_(map.isOpaque()),
-      nearField_(hasNearField(map)),
       media_(map.info().translucent == Translucent::media),
       samples_(light_.isPoint()
                    ? 1u
@@ -212,8 +146,10 @@ void BundleQuery::addRays(Face& face, bool normals,
         }
     }
     (normals ? face.withNormals : face.without)
-        .emplace(face.projection, map_.info().width, map_.info().height, face.depths,
-                 light_, settingOf(map_, light_, options_, normals, onlyKey), alike);
+        .emplace(
+            face.projection, map_.info().width, map_.info().height, face.depths, light_,
+            settingOf(map_, light_, options_, !face.nearField.empty(), normals, onlyKey),
+            alike);
 }
 
 /// Where a point of light space lies in windows away from the middle of a face's; depth
@@ -364,9 +300,7 @@ void BundleQuery::setLane(const Face& face, const Receiver& receiver, int lane,
 /// What is close to the receivers, as exactly as the casters were given; leaves the
 /// bundle with the layers' part of the rays.
 void BundleQuery::traceNear(const Face& face, Rays& rays) const noexcept {
-    if (!face.nearField.empty())
-        trace::traceNear(face.nearField, rays.bundle, rays.fates.nearEnd,
-                         face.nearHeight);
+    trace::traceNear(face.nearField, rays.bundle, rays.fates.nearEnd, face.nearHeight);
     for (int row = 0; row < rays.bundle.receivers * rays.bundle.groups; ++row)
         std::copy_n(rays.fates.layersBegin[row], trace::kLanes, rays.bundle.begin[row]);
 }
@@ -374,7 +308,7 @@ void BundleQuery::traceNear(const Face& face, Rays& rays) const noexcept {
 /// Follows the open rays: blocked ones are closed, others have more depth.
 void BundleQuery::follow(const Face& face, Rays& rays) const noexcept {
     if (opaque_) {
-        if (nearField_) traceNear(face, rays);
+        if (!face.nearField.empty()) traceNear(face, rays);
         trace::tracePatches(*face.patches, rays.bundle);
         return;
     }
@@ -451,24 +385,14 @@ void BundleQuery::cut(std::uint32_t home, std::uint32_t number, const Receiver& 
             worldFromHome * glm::dvec3(homeFates.delta[0][homeRow][i],
                                        homeFates.delta[1][homeRow][i],
                                        homeFates.delta[2][homeRow][i]);
-        const double change = glm::dot(faces_[number].projection.forward, delta);
-        double begin = 0.0, end = HUGE_VAL;
-        for (std::uint32_t f = 0; f < 6; ++f) {
-            if (f == number) continue;
-            // It is in this face while its lead is not below zero.
-            const double lead = z[number] - z[f];
-            const double gain = change - glm::dot(faces_[f].projection.forward, delta);
-            if (gain > 0.0)
-                begin = std::max(begin, -lead / gain);
-            else if (gain < 0.0)
-                end = std::min(end, -lead / gain);
-            else if (lead < 0.0 || (lead == 0.0 && f < number))
-                end = 0.0;
-        }
+        double change[6];
+        for (std::uint32_t f = 0; f < 6; ++f)
+            change[f] = glm::dot(faces_[f].projection.forward, delta);
+        const auto [begin, end] = partIn(number, z, change);
         const double way = rays.fates.way[row][i];
-        const double last = z[number] + way * change;
+        const double last = z[number] + way * change[number];
         const auto at = [&](double t) {
-            return t / way * (last / (z[number] + t * change));
+            return t / way * (last / (z[number] + t * change[number]));
         };
         const double cutTo = end < way ? at(end) : 1.0;
         const double from = begin > 0.0 ? at(begin) : 0.0;

@@ -133,7 +133,7 @@ class BundleQuery {
     light::LightSampler light_;
     ShadowOptions options_;
     trace::ZBias bias_;
-    bool opaque_, nearField_, media_;
+    bool opaque_, media_;
     std::uint32_t samples_;
     bool fixedAxes_;  // are the light's axes the same for all points?
     double capHeight_;

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <glm/geometric.hpp>
 #include <mutex>
 #include <new>
 
@@ -12,6 +11,7 @@
 #include "base/parallel.h"
 #include "shadow/bundle_query.h"
 #include "shadow/query.h"
+#include "shadow/ray_query.h"
 #include "shadow/receiver_order.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
@@ -176,6 +176,37 @@ void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* p
     if (stats) add(*stats, met);
 }
 
+/// Hands the visibilities of ray i to take(i, visibilities), for all rays.
+template <typename Take>
+void answerRays(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
+                const RayOptions& options, const Take& take) noexcept {
+    const auto byDefinition = [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i)
+            take(i, shadow::visibilityByDefinition(map, rays[i], options));
+    };
+    try {
+        if (!shadow::RayQuery::serves(map, options)) {
+            base::parallelRanges(std::size_t(0), count, kPointsPerTask, byDefinition);
+            return;
+        }
+        const shadow::RayQuery query(map, options);
+        constexpr std::size_t kAtOnce = shadow::RayQuery::kAtOnce;
+        const auto answer = [&](std::size_t begin, std::size_t end) {
+            for (; begin < end; begin += kAtOnce) {
+                glm::vec3 visible[kAtOnce];
+                const std::size_t some = std::min(kAtOnce, end - begin);
+                query.look(rays + begin, some, visible);
+                for (std::size_t i = 0; i < some; ++i)
+                    take(begin + i, visible[i]);
+            }
+        };
+        if (count <= kAtOnce) return answer(0, count);
+        base::parallelRanges(std::size_t(0), count, 4 * kAtOnce, answer);
+    } catch (const std::bad_alloc&) {
+        byDefinition(0, count);
+    }
+}
+
 /// What queries of the map go through, made if need be.
 bool hasTrees(const ShadowMap& map) {
     try {
@@ -250,19 +281,9 @@ void shadowFactors(const ShadowMap& map, const AreaLight& light, const glm::dvec
 
 glm::vec3 visibilityColor(const ShadowMap& map, const ShadowRay& ray,
                           const RayOptions& options) noexcept {
-    if (!base::isFinite(ray.origin) || !base::isFinite(ray.direction) ||
-        !(ray.length > 0.0))
-        return glm::vec3(1.0f);
-    trace::Ray traced;
-    traced.origin = ray.origin;
-    traced.delta = ray.direction;
-    traced.tEnd = ray.length;
-    trace::TraceOptions traceOptions;
-    traceOptions.bias = shadow::biasOf(map, options.bias);
-    traceOptions.threshold = shadow::thresholdOf(options.threshold);
-    traceOptions.attenuation = options.attenuation;
-    const trace::ChannelVisibility v = trace::traceRay(map, traced, traceOptions);
-    return {v[0], v[1], v[2]};
+    glm::vec3 visible;
+    visibilitiesColor(map, &ray, 1, &visible, options);
+    return visible;
 }
 
 float visibility(const ShadowMap& map, const ShadowRay& ray,
@@ -272,20 +293,15 @@ float visibility(const ShadowMap& map, const ShadowRay& ray,
 
 void visibilitiesColor(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
                        glm::vec3* out, const RayOptions& options) noexcept {
-    const auto answer = [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i)
-            out[i] = visibilityColor(map, rays[i], options);
-    };
-    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
+    answerRays(map, rays, count, options,
+               [&](std::size_t i, glm::vec3 v) { out[i] = v; });
 }
 
 void visibilities(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
                   float* out, const RayOptions& options) noexcept {
-    const auto answer = [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i)
-            out[i] = visibility(map, rays[i], options);
-    };
-    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
+    answerRays(map, rays, count, options, [&](std::size_t i, glm::vec3 v) {
+        out[i] = shadow::mean(v, map.info().channels);
+    });
 }
 
 }  // namespace mtsm

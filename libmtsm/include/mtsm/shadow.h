@@ -149,6 +149,7 @@ struct ShadowRay {
 struct RayOptions {
     float bias = -1.0f;             ///< z threshold, world units; negative: the map's own
     float threshold = 1.0f / 1024;  ///< with less visibility left the ray is dark
+    ShadowMethod method = ShadowMethod::trace;  ///< or scalar; pcf knows no rays: scalar
     Attenuation attenuation = Attenuation::multiply;
 };
 

@@ -1,0 +1,374 @@
+#include "shadow/ray_query.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <glm/matrix.hpp>
+
+#include "base/finite.h"
+#include "shadow/light_rays.h"
+#include "shadow/map_faces.h"
+#include "shadow/query.h"
+#include "trace/near_trace.h"
+#include "trace/patch_trace.h"
+
+namespace mtsm::shadow {
+namespace {
+
+/// Rays that rise less than this beside their depth, in w, are left to the definition:
+/// what bounds them would be coarser than they are.
+constexpr double kLeastRise = 0x1p-12;
+/// Origins that lie further outside the window than this many times its size are no
+/// common starts.
+constexpr double kFarthestOutside = 8.0;
+/// Sheets of surface that are this coarse may block a ray for good.
+constexpr std::uint8_t kTopLevel = 3;
+constexpr float kLeastBegin = 0x1p-40f;
+
+/// a + b t
+struct Linear {
+    double a, b;
+};
+/// Keeps the part of [begin, end] in which f >= 0.
+void clip(Linear f, RayPart& part) {
+    if (f.b > 0.0)
+        part.begin = std::max(part.begin, -f.a / f.b);
+    else if (f.b < 0.0)
+        part.end = std::min(part.end, -f.a / f.b);
+    else if (f.a < 0.0)
+        part.end = part.begin;
+}
+
+/// A place in straight space.
+struct Place {
+    double u, v, w;
+};
+Place project(const Projection& p, glm::dvec3 at) {
+    if (p.kind == ProjectionKind::orthographic)
+        return {p.scale.x * at.x + p.offset.x, p.scale.y * at.y + p.offset.y, -at.z};
+    const double w = 1.0 / at.z;
+    return {p.scale.x * at.x * w + p.offset.x, p.scale.y * at.y * w + p.offset.y, w};
+}
+
+/// As LightRays: a place on the border of a face is moved inside.
+double offBorder(double x, double size, double border) {
+    if (std::abs(x) < border) return border;
+    return std::abs(x - size) < border ? size - border : x;
+}
+
+}  // namespace
+
+bool RayQuery::serves(const ShadowMap& map, const RayOptions& options) {
+    return options.method == ShadowMethod::trace && hasTrees(map, options.attenuation);
+}
+
+RayQuery::RayQuery(const ShadowMap& map, const RayOptions& options) noexcept
+    : map_(map),
+      options_(options),
+      bias_(biasOf(map, options.bias)),
+      threshold_(float(thresholdOf(options.threshold))),
+      faceCount_(map.faceCount()) {
+    const auto size = float(std::max(map.info().width, map.info().height));
+    if (faceCount_ > 1) border_ = size * 0x1p-21f;
+    for (std::uint32_t f = 0; f < faceCount_; ++f) {
+        Face& face = faces_[f];
+        const Projection& p = map.projection(f);
+        const ZRange depths = depthsOf(map, f, options.bias);
+        const bool perspective = p.kind == ProjectionKind::perspective;
+        face.projection = &p;
+        face.turn = glm::transpose(glm::dmat3(p.right, p.up, p.forward));
+        face.nearest = LightRays::nearestOf(p, depths);
+        face.farthest = depths.max + 4.0 * p.pixelFootprint(std::abs(depths.max));
+        face.furthest = 0x1p20 * p.pixelFootprint(std::abs(face.nearest));
+        face.nearField = &map.nearField(f);
+        const auto depth = float(kNearDepth * p.pixelFootprint(1.0));
+        face.nearPerW = perspective && !face.nearField->empty() ? depth : 0.0f;
+        face.nearConstant = !perspective && !face.nearField->empty() ? depth : 0.0f;
+        face.patches = map.isOpaque() ? &(*trace::patchTrees(map))[f] : nullptr;
+        face.density = map.isOpaque() ? nullptr : &(*trace::densityTrees(map))[f];
+        face.empty = map.zRange(f).empty();
+    }
+}
+
+/// May rays start there, in floats?
+bool RayQuery::isSeen(const Face& face, glm::dvec3 p) const noexcept {
+    if (!(std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)}) <= face.furthest))
+        return false;
+    const bool perspective = face.projection->kind == ProjectionKind::perspective;
+    if (perspective && !(p.z > 0.5 * face.nearest)) return false;
+    const Place at = project(*face.projection, p);
+    const double width = map_.info().width, height = map_.info().height;
+    return std::abs(at.u / width - 0.5) <= kFarthestOutside &&
+           std::abs(at.v / height - 0.5) <= kFarthestOutside;
+}
+
+/// Appends what rays have in a face.
+void RayQuery::cutUp(std::uint32_t number, const ShadowRay* rays, std::size_t count,
+                     Piece* pieces, std::size_t& found, Fate* fates) const noexcept {
+    const Face& face = faces_[number];
+    const Projection& p = *face.projection;
+    const bool perspective = p.kind == ProjectionKind::perspective;
+    const double width = map_.info().width, height = map_.info().height;
+    if (face.empty) return;
+    for (std::size_t i = 0; i < count; ++i) {
+        const ShadowRay& ray = rays[i];
+        if (!base::isFinite(ray.origin) || !base::isFinite(ray.direction) ||
+            !(ray.length > 0.0))
+            continue;
+        const glm::dvec3 fromEye = ray.origin - p.eye;
+        RayPart part;
+        if (faceCount_ > 1) {
+            double z[6], dz[6];
+            for (std::uint32_t f = 0; f < 6; ++f) {
+                z[f] = glm::dot(faces_[f].projection->forward, fromEye);
+                dz[f] = glm::dot(faces_[f].projection->forward, ray.direction);
+            }
+            part = partIn(number, z, dz);
+        }
+        part.end = std::min(part.end, ray.length);
+        const glm::dvec3 o = face.turn * fromEye, d = face.turn * ray.direction;
+        const auto pointAt = [&](double t) { return o + t * d; };
+        // What lies a pixel beyond the window is of no account.
+        const double ha = perspective ? o.z : 1.0, hb = perspective ? d.z : 0.0;
+        const Linear x{p.scale.x * o.x + p.offset.x * ha,
+                       p.scale.x * d.x + p.offset.x * hb};
+        const Linear y{p.scale.y * o.y + p.offset.y * ha,
+                       p.scale.y * d.y + p.offset.y * hb};
+        clip({o.z - face.nearest, d.z}, part);
+        clip({face.farthest - o.z, -d.z}, part);
+        clip({x.a + ha, x.b + hb}, part);
+        clip({(width + 1.0) * ha - x.a, (width + 1.0) * hb - x.b}, part);
+        clip({y.a + ha, y.b + hb}, part);
+        clip({(height + 1.0) * ha - y.a, (height + 1.0) * hb - y.b}, part);
+        if (!(part.begin < part.end) || !std::isfinite(part.end)) continue;
+
+        // From the deeper end to the other.
+        const bool rises = d.z < 0.0;
+        const double tEnd = rises ? part.end : part.begin;
+        double tStart = rises ? part.begin : part.end;
+        Piece piece;
+        piece.ray = std::uint32_t(i);
+        piece.begin = kLeastBegin;
+        piece.shares = rises && isSeen(face, o);
+        if (piece.shares) {
+            if (tStart > 0.0) {
+                const double share = tStart / tEnd;
+                const double slant =
+                    perspective ? pointAt(tEnd).z / pointAt(tStart).z : 1.0;
+                piece.begin = std::max(piece.begin, float(share * slant));
+            }
+            tStart = 0.0;
+        }
+        const Place a = project(p, pointAt(tStart)), b = project(p, pointAt(tEnd));
+        const double starts[3] = {offBorder(a.u, width, border_),
+                                  offBorder(a.v, height, border_), a.w};
+        const double ends[3] = {offBorder(b.u, width, border_),
+                                offBorder(b.v, height, border_), b.w};
+        for (int k = 0; k < 3; ++k) {
+            piece.start[k] = float(starts[k]);
+            piece.way[k] = float(ends[k] - double(piece.start[k]));
+        }
+        if (!(piece.way[2] >= kLeastRise * std::max(std::abs(a.w), std::abs(b.w)))) {
+            fates[i].alone = true;
+            continue;
+        }
+        pieces[found++] = piece;
+    }
+}
+
+/// Pieces on their way.
+class RayQuery::Bundle {
+  public:
+    Bundle(const RayQuery& query, const Face& face, Fate* fates)
+        : query_(query), face_(face), fates_(fates) {
+        bundle_.receivers = 0;
+        bundle_.hasPlanes = false;
+    }
+
+    /// Up to 16 x 16 pieces of one start.
+    void add(const Piece* pieces, int count) {
+        const int groups = (count + trace::kLanes - 1) / trace::kLanes;
+        if (bundle_.receivers > 0 && (groups != bundle_.groups || full())) finish();
+        bundle_.groups = groups;
+        const int receiver = bundle_.receivers++;
+        const Piece& first = pieces[0];
+        bundle_.u[receiver] = first.start[0], bundle_.v[receiver] = first.start[1];
+        bundle_.w[receiver] = first.start[2];
+        bundle_.rise[receiver] =
+            face_.nearPerW * std::abs(first.start[2]) + face_.nearConstant;
+        for (int group = 0; group < groups; ++group) {
+            const int from = group * trace::kLanes;
+            setRow(receiver, group, pieces + from, std::min(count - from, trace::kLanes));
+        }
+        setSlopes(receiver);
+        if (full()) finish();
+    }
+
+    void finish() {
+        if (bundle_.receivers == 0) return;
+        for (int i = bundle_.receivers; i < trace::kMostReceivers; ++i)
+            copyFirst(i);
+        if (face_.patches)
+            followOpaque();
+        else
+            followDensity();
+        bundle_.receivers = 0;
+    }
+
+  private:
+    [[nodiscard]] bool full() const {
+        return bundle_.receivers == trace::kMostReceivers ||
+               (bundle_.receivers + 1) * bundle_.groups > trace::kMostRows;
+    }
+
+    void setRow(int receiver, int group, const Piece* pieces, int count) {
+        const int row = bundle_.row(receiver, group);
+        const float depth = bundle_.rise[receiver];
+        float lowU = HUGE_VALF, highU = -HUGE_VALF, lowV = HUGE_VALF, highV = -HUGE_VALF;
+        for (int i = 0; i < trace::kLanes; ++i) {
+            const Piece& p = pieces[std::min(i, count - 1)];
+            bundle_.du[row][i] = p.way[0], bundle_.dv[row][i] = p.way[1];
+            bundle_.dw[row][i] = p.way[2];
+            bundle_.begin[row][i] = bundle_.beginSurfaces[row][i] = p.begin;
+            bundle_.threshold[row][i] = 0;
+            rays_[row][i] = p.ray;
+            const float end = std::min(1.0f, depth / p.way[2]);
+            nearEnd_[row][i] = end;
+            layersBegin_[row][i] = std::max(p.begin, end);
+            const float u = p.way[0] / p.way[2], v = p.way[1] / p.way[2];
+            lowU = std::min(lowU, u), highU = std::max(highU, u);
+            lowV = std::min(lowV, v), highV = std::max(highV, v);
+        }
+        bundle_.open[row] = std::uint16_t((1u << count) - 1);
+        // Quotients are rounded; and none is zero.
+        const auto grow = [](float& low, float& high) {
+            low -= std::abs(low) * 0x1p-18f + 0x1p-80f;
+            high += std::abs(high) * 0x1p-18f + 0x1p-80f;
+        };
+        grow(lowU, highU), grow(lowV, highV);
+        slopes_[group] = {lowU, highU, lowV, highV};
+    }
+
+    struct Slopes {
+        float lowU, highU, lowV, highV;
+    };
+
+    void setSlopes(int receiver) {
+        Slopes all{HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF};
+        for (int group = 0; group < bundle_.groups; ++group) {
+            const Slopes& s = slopes_[group];
+            all.lowU = std::min(all.lowU, s.lowU),
+            all.highU = std::max(all.highU, s.highU);
+            all.lowV = std::min(all.lowV, s.lowV),
+            all.highV = std::max(all.highV, s.highV);
+            const bool isFirst = receiver == 0;
+            const auto include = [isFirst](float& low, float& high, float a, float b) {
+                low = isFirst ? a : std::min(low, a);
+                high = isFirst ? b : std::max(high, b);
+            };
+            include(bundle_.groupLowU[group], bundle_.groupHighU[group], s.lowU, s.highU);
+            include(bundle_.groupLowV[group], bundle_.groupHighV[group], s.lowV, s.highV);
+        }
+        bundle_.slopeLowU[receiver] = all.lowU, bundle_.slopeHighU[receiver] = all.highU;
+        bundle_.slopeLowV[receiver] = all.lowV, bundle_.slopeHighV[receiver] = all.highV;
+        bundle_.spread[receiver] = 0.0f;
+        bundle_.topLevel[receiver] = kTopLevel;
+    }
+
+    void copyFirst(int i) {
+        for (float* lanes :
+             {bundle_.u, bundle_.v, bundle_.w, bundle_.rise, bundle_.slopeLowU,
+              bundle_.slopeHighU, bundle_.slopeLowV, bundle_.slopeHighV, bundle_.spread})
+            lanes[i] = lanes[0];
+        bundle_.topLevel[i] = kTopLevel;
+    }
+
+    void followOpaque() {
+        const int rows = bundle_.receivers * bundle_.groups;
+        std::uint16_t open[trace::kMostRows];
+        std::copy_n(bundle_.open, rows, open);
+        if (!face_.nearField->empty()) {
+            trace::traceNear(*face_.nearField, bundle_, nearEnd_, 0.0f);
+            for (int row = 0; row < rows; ++row)
+                std::copy_n(layersBegin_[row], trace::kLanes, bundle_.begin[row]);
+        }
+        trace::tracePatches(*face_.patches, bundle_);
+        for (int row = 0; row < rows; ++row) {
+            std::uint32_t blocked = open[row] & ~std::uint32_t(bundle_.open[row]);
+            for (; blocked; blocked &= blocked - 1)
+                fates_[rays_[row][std::countr_zero(blocked)]].blocked = true;
+        }
+    }
+
+    void followDensity() {
+        const int rows = bundle_.receivers * bundle_.groups;
+        std::uint16_t open[trace::kMostRows];
+        std::copy_n(bundle_.open, rows, open);
+        const std::uint32_t channels = query_.map_.info().channels;
+        for (std::uint32_t c = 0; c < channels; ++c)
+            std::fill_n(depths_.depth[c][0], std::size_t(rows) * trace::kLanes, 0.0f);
+        trace::DensityTraceOptions options;
+        options.bias = query_.bias_;
+        options.darkDepth =
+            query_.threshold_ > 0.0f ? -std::log(query_.threshold_) : trace::kDarkDepth;
+        trace::traceDensity(*face_.density, options, bundle_, depths_);
+        for (int row = 0; row < rows; ++row) {
+            for (std::uint32_t rest = open[row]; rest; rest &= rest - 1) {
+                const int i = std::countr_zero(rest);
+                for (std::uint32_t c = 0; c < channels; ++c)
+                    fates_[rays_[row][i]].depth[c] += depths_.depth[c][row][i];
+            }
+        }
+    }
+
+    const RayQuery& query_;
+    const Face& face_;
+    Fate* fates_;
+    trace::RayBundle bundle_;
+    trace::RayDepths depths_;
+    Slopes slopes_[trace::kMostRows];
+    std::uint32_t rays_[trace::kMostRows][trace::kLanes];
+    alignas(64) float nearEnd_[trace::kMostRows][trace::kLanes];
+    alignas(64) float layersBegin_[trace::kMostRows][trace::kLanes];
+};
+
+void RayQuery::followAll(const Face& face, const ShadowRay* rays, const Piece* pieces,
+                         std::size_t count, Fate* fates) const noexcept {
+    constexpr std::size_t kMost = 256;
+    Bundle bundle(*this, face, fates);
+    for (std::size_t first = 0; first < count;) {
+        std::size_t end = first + 1;
+        const Piece& p = pieces[first];
+        while (p.shares && end < count && end - first < kMost && pieces[end].shares &&
+               rays[pieces[end].ray].origin == rays[p.ray].origin)
+            ++end;
+        bundle.add(pieces + first, int(end - first));
+        first = end;
+    }
+    bundle.finish();
+}
+
+void RayQuery::look(const ShadowRay* rays, std::size_t count,
+                    glm::vec3* out) const noexcept {
+    Fate fates[kAtOnce];
+    Piece pieces[kAtOnce];
+    for (std::uint32_t f = 0; f < faceCount_; ++f) {
+        std::size_t found = 0;
+        cutUp(f, rays, count, pieces, found, fates);
+        if (found > 0) followAll(faces_[f], rays, pieces, found, fates);
+    }
+    const std::uint32_t channels = map_.info().channels;
+    for (std::size_t i = 0; i < count; ++i) {
+        if (fates[i].alone) {
+            out[i] = visibilityByDefinition(map_, rays[i], options_);
+            continue;
+        }
+        for (std::uint32_t c = 0; c < 3; ++c) {
+            const float v = std::exp(-fates[i].depth[c < channels ? c : 0]);
+            out[i][int(c)] = fates[i].blocked || !(v > threshold_) ? 0.0f : v;
+        }
+    }
+}
+
+}  // namespace mtsm::shadow

@@ -1,0 +1,74 @@
+// ray_query.h - the visibility of many rays of a caller's at once, through a map's trees.
+//
+// Consecutive rays of one origin share their way, up to 256 of them; others go by up to
+// 16. A ray's answer depends on that ray alone: it is followed in each face by itself,
+// from its deeper end to its shallower one, through the finest of what trees hold.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+#include <glm/mat3x3.hpp>
+#include <glm/vec3.hpp>
+#include <memory>
+
+#include "mtsm/map.h"
+#include "mtsm/shadow.h"
+#include "trace/density_trace.h"
+#include "trace/density_tree.h"
+#include "trace/patch_tree.h"
+
+namespace mtsm::shadow {
+
+class RayQuery {
+  public:
+    /// Can it answer such queries at all? Makes the map's trees.
+    [[nodiscard]] static bool serves(const ShadowMap& map, const RayOptions& options);
+    RayQuery(const ShadowMap& map, const RayOptions& options) noexcept;
+
+    /// Most rays of one call of look().
+    static constexpr std::size_t kAtOnce = 256;
+    /// The visibilities of the map's channels, those that it has not are the first.
+    void look(const ShadowRay* rays, std::size_t count, glm::vec3* out) const noexcept;
+
+    /// A part of a ray in one face, in straight space (trace/bundle.h).
+    struct Piece {
+        std::uint32_t ray;
+        bool shares;  ///< its start is the ray's origin, whatever its way
+        float start[3], way[3], begin;
+    };
+    /// What becomes of a ray.
+    struct Fate {
+        bool blocked = false;
+        bool alone = false;  ///< to be followed by the definition
+        float depth[3] = {};
+    };
+
+  private:
+    struct Face {
+        const Projection* projection;
+        glm::dmat3 turn;           // world to light space
+        double nearest, farthest;  // depths beyond which there is nothing
+        double furthest;           // from the eye, of a start that floats resolve
+        const NearField* nearField;
+        float nearPerW, nearConstant;  // its depth, in w
+        const trace::PatchTree* patches;
+        const trace::DensityTree* density;
+        bool empty;
+    };
+    class Bundle;
+
+    [[nodiscard]] bool isSeen(const Face& face, glm::dvec3 inLight) const noexcept;
+    void cutUp(std::uint32_t face, const ShadowRay* rays, std::size_t count,
+               Piece* pieces, std::size_t& found, Fate* fates) const noexcept;
+    void followAll(const Face& face, const ShadowRay* rays, const Piece* pieces,
+                   std::size_t count, Fate* fates) const noexcept;
+
+    const ShadowMap& map_;
+    RayOptions options_;
+    trace::ZBias bias_;
+    float threshold_;
+    float border_ = 0.0f;  // as of LightRays, of several faces
+    std::uint32_t faceCount_;
+    Face faces_[6];
+};
+
+}  // namespace mtsm::shadow
