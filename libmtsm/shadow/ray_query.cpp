@@ -22,8 +22,6 @@ constexpr double kLeastRise = 0x1p-12;
 /// Origins that lie further outside the window than this many times its size are no
 /// common starts.
 constexpr double kFarthestOutside = 8.0;
-/// Sheets of surface that are this coarse may block a ray for good.
-constexpr std::uint8_t kTopLevel = 3;
 constexpr float kLeastBegin = 0x1p-40f;
 
 /// a + b t
@@ -51,16 +49,53 @@ Place project(const Projection& p, glm::dvec3 at) {
     return {p.scale.x * at.x * w + p.offset.x, p.scale.y * at.y * w + p.offset.y, w};
 }
 
+/// The first level whose tiles are as wide.
+std::uint8_t levelOf(float width) {
+    int level = 0;
+    for (float side = 16.0f; side < width && level < 20; side *= 2.0f)
+        ++level;
+    return std::uint8_t(level);
+}
+
 /// As LightRays: a place on the border of a face is moved inside.
 double offBorder(double x, double size, double border) {
     if (std::abs(x) < border) return border;
     return std::abs(x - size) < border ? size - border : x;
 }
 
+/// Neighbours next to each other.
+void order(RayQuery::Piece* pieces, std::size_t count) {
+    float low[2] = {HUGE_VALF, HUGE_VALF}, high[2] = {-HUGE_VALF, -HUGE_VALF};
+    const auto slope = [](const RayQuery::Piece& p, int axis) {
+        return p.way[axis] / p.way[2];
+    };
+    for (std::size_t i = 0; i < count; ++i) {
+        for (int axis = 0; axis < 2; ++axis) {
+            low[axis] = std::min(low[axis], slope(pieces[i], axis));
+            high[axis] = std::max(high[axis], slope(pieces[i], axis));
+        }
+    }
+    const float per = 15.99f / std::max({high[0] - low[0], high[1] - low[1], 0x1p-80f});
+    constexpr std::uint8_t kSpread[16] = {0,  1,  4,  5,  16, 17, 20, 21,
+                                          64, 65, 68, 69, 80, 81, 84, 85};
+    for (std::size_t i = 0; i < count; ++i) {
+        const auto cell = [&](int axis) {
+            return std::size_t((slope(pieces[i], axis) - low[axis]) * per) & 15;
+        };
+        pieces[i].place = kSpread[cell(0)] | std::uint32_t(kSpread[cell(1)]) << 1;
+    }
+    std::sort(pieces, pieces + count,
+              [](const RayQuery::Piece& a, const RayQuery::Piece& b) {
+                  return a.place != b.place ? a.place < b.place : a.ray < b.ray;
+              });
+}
+
 }  // namespace
 
 bool RayQuery::serves(const ShadowMap& map, const RayOptions& options) {
-    return options.method == ShadowMethod::trace && hasTrees(map, options.attenuation);
+    if (options.method != ShadowMethod::trace) return false;
+    if (map.isOpaque() && !(options.spread > 0.0f)) return false;
+    return hasTrees(map, options.attenuation);
 }
 
 RayQuery::RayQuery(const ShadowMap& map, const RayOptions& options) noexcept
@@ -85,6 +120,12 @@ RayQuery::RayQuery(const ShadowMap& map, const RayOptions& options) noexcept
         const auto depth = float(kNearDepth * p.pixelFootprint(1.0));
         face.nearPerW = perspective && !face.nearField->empty() ? depth : 0.0f;
         face.nearConstant = !perspective && !face.nearField->empty() ? depth : 0.0f;
+        const float spread = options.spread > 0.0f && std::isfinite(options.spread)
+                                 ? float(options.spread / p.pixelFootprint(1.0))
+                                 : 0.0f;
+        face.spreadPerZ = perspective ? spread : 0.0f;
+        face.spreadConstant = perspective ? 0.0f : spread;
+        face.highest = float(perspective ? 1.0 / face.nearest : -face.nearest);
         face.patches = map.isOpaque() ? &(*trace::patchTrees(map))[f] : nullptr;
         face.density = map.isOpaque() ? nullptr : &(*trace::densityTrees(map))[f];
         face.empty = map.zRange(f).empty();
@@ -231,7 +272,6 @@ class RayQuery::Bundle {
             bundle_.du[row][i] = p.way[0], bundle_.dv[row][i] = p.way[1];
             bundle_.dw[row][i] = p.way[2];
             bundle_.begin[row][i] = bundle_.beginSurfaces[row][i] = p.begin;
-            bundle_.threshold[row][i] = 0;
             rays_[row][i] = p.ray;
             const float end = std::min(1.0f, depth / p.way[2]);
             nearEnd_[row][i] = end;
@@ -241,6 +281,14 @@ class RayQuery::Bundle {
             lowV = std::min(lowV, v), highV = std::max(highV, v);
         }
         bundle_.open[row] = std::uint16_t((1u << count) - 1);
+        // As LightRays: any few rays in a row have thresholds far apart.
+        constexpr std::uint8_t kFar[trace::kLanes] = {0, 8, 4, 12, 2, 10, 6, 14,
+                                                      1, 9, 5, 13, 3, 11, 7, 15};
+        const std::uint32_t bits = std::bit_cast<std::uint32_t>(bundle_.u[receiver]) ^
+                                   std::bit_cast<std::uint32_t>(bundle_.v[receiver]);
+        const std::uint32_t turn = bits * 0x9e3779b1u >> 28;
+        for (int i = 0; i < trace::kLanes; ++i)
+            bundle_.threshold[row][i] = std::uint8_t(kFar[i] ^ turn);
         // Quotients are rounded; and none is zero.
         const auto grow = [](float& low, float& high) {
             low -= std::abs(low) * 0x1p-18f + 0x1p-80f;
@@ -272,8 +320,12 @@ class RayQuery::Bundle {
         }
         bundle_.slopeLowU[receiver] = all.lowU, bundle_.slopeHighU[receiver] = all.highU;
         bundle_.slopeLowV[receiver] = all.lowV, bundle_.slopeHighV[receiver] = all.highV;
-        bundle_.spread[receiver] = 0.0f;
-        bundle_.topLevel[receiver] = kTopLevel;
+        const float w = bundle_.w[receiver];
+        const float spread = face_.spreadPerZ / w + face_.spreadConstant;
+        bundle_.spread[receiver] = spread;
+        const float widest =
+            std::max({all.highU - all.lowU, all.highV - all.lowV, spread});
+        bundle_.topLevel[receiver] = levelOf(widest * std::max(0.0f, face_.highest - w));
     }
 
     void copyFirst(int i) {
@@ -281,7 +333,7 @@ class RayQuery::Bundle {
              {bundle_.u, bundle_.v, bundle_.w, bundle_.rise, bundle_.slopeLowU,
               bundle_.slopeHighU, bundle_.slopeLowV, bundle_.slopeHighV, bundle_.spread})
             lanes[i] = lanes[0];
-        bundle_.topLevel[i] = kTopLevel;
+        bundle_.topLevel[i] = bundle_.topLevel[0];
     }
 
     void followOpaque() {
@@ -333,20 +385,33 @@ class RayQuery::Bundle {
     alignas(64) float layersBegin_[trace::kMostRows][trace::kLanes];
 };
 
-void RayQuery::followAll(const Face& face, const ShadowRay* rays, const Piece* pieces,
+void RayQuery::followAll(const Face& face, const ShadowRay* rays, Piece* pieces,
                          std::size_t count, Fate* fates) const noexcept {
-    constexpr std::size_t kMost = 256;
     Bundle bundle(*this, face, fates);
     for (std::size_t first = 0; first < count;) {
         std::size_t end = first + 1;
         const Piece& p = pieces[first];
-        while (p.shares && end < count && end - first < kMost && pieces[end].shares &&
+        while (p.shares && end < count && pieces[end].shares &&
                rays[pieces[end].ray].origin == rays[p.ray].origin)
             ++end;
+        if (end - first > std::size_t(trace::kLanes)) order(pieces + first, end - first);
         bundle.add(pieces + first, int(end - first));
         first = end;
     }
     bundle.finish();
+}
+
+std::vector<std::size_t> RayQuery::beginnings(const ShadowRay* rays, std::size_t count) {
+    std::vector<std::size_t> all = {0};
+    for (std::size_t run = 0; run < count;) {
+        std::size_t end = run + 1;
+        while (end < count && end - run < kAtOnce && rays[end].origin == rays[run].origin)
+            ++end;
+        if (end - all.back() > kAtOnce) all.push_back(run);
+        run = end;
+    }
+    all.push_back(count);
+    return all;
 }
 
 void RayQuery::look(const ShadowRay* rays, std::size_t count,

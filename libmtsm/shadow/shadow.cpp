@@ -5,6 +5,7 @@
 #include <cmath>
 #include <mutex>
 #include <new>
+#include <vector>
 
 #include "base/finite.h"
 #include "base/message.h"
@@ -190,18 +191,16 @@ void answerRays(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
             return;
         }
         const shadow::RayQuery query(map, options);
-        constexpr std::size_t kAtOnce = shadow::RayQuery::kAtOnce;
         const auto answer = [&](std::size_t begin, std::size_t end) {
-            for (; begin < end; begin += kAtOnce) {
-                glm::vec3 visible[kAtOnce];
-                const std::size_t some = std::min(kAtOnce, end - begin);
-                query.look(rays + begin, some, visible);
-                for (std::size_t i = 0; i < some; ++i)
-                    take(begin + i, visible[i]);
-            }
+            glm::vec3 visible[shadow::RayQuery::kAtOnce];
+            query.look(rays + begin, end - begin, visible);
+            for (std::size_t i = begin; i < end; ++i)
+                take(i, visible[i - begin]);
         };
-        if (count <= kAtOnce) return answer(0, count);
-        base::parallelRanges(std::size_t(0), count, 4 * kAtOnce, answer);
+        if (count <= 1) return answer(0, count);
+        const std::vector<std::size_t> begin = shadow::RayQuery::beginnings(rays, count);
+        base::parallelFor(std::size_t(1), begin.size(),
+                          [&](std::size_t i) { answer(begin[i - 1], begin[i]); });
     } catch (const std::bad_alloc&) {
         byDefinition(0, count);
     }

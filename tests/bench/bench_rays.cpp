@@ -122,15 +122,22 @@ void measure(const ShadowMap& map) {
             std::snprintf(what, sizeof what, "points, %d samples", samples);
             print(what, c);
         }
-        for (const int each : {1, 4, 16, 64}) {
-            const std::vector<ShadowRay> rays = raysTo(light, points, each);
+        for (const int each : {1, 4, 16, 64, -4, -16, -64}) {
+            const std::vector<ShadowRay> rays = raysTo(light, points, std::abs(each));
             const Compared c = compare(rays.size(), [&](ShadowMethod method, float* out) {
                 RayOptions options;
                 options.method = method;
+                // Of the light as seen from halfway on.
+                const double distance =
+                    glm::length(points[points.size() / 2] - light.position);
+                if (each < 0)
+                    options.spread =
+                        float(lightRadius(light) / distance * std::sqrt(3.14 / -each));
                 visibilities(map, rays.data(), rays.size(), out, options);
             });
             char what[64];
-            std::snprintf(what, sizeof what, "rays, %d of an origin", each);
+            std::snprintf(what, sizeof what, "rays, %d of an origin%s", std::abs(each),
+                          each < 0 ? ", spread" : "");
             print(what, c);
         }
         const std::vector<ShadowRay> rays = raysTo(light, points, 1);

@@ -150,6 +150,10 @@ struct RayOptions {
     float bias = -1.0f;             ///< z threshold, world units; negative: the map's own
     float threshold = 1.0f / 1024;  ///< with less visibility left the ray is dark
     ShadowMethod method = ShadowMethod::trace;  ///< or scalar; pcf knows no rays: scalar
+    /// Angle between neighbouring rays of one origin, radians: `trace` may answer what
+    /// looks smaller from there coarsely. Of N rays to a light of solid angle S it is
+    /// sqrt(S / N). 0: every ray is taken for itself.
+    float spread = 0.0f;
     Attenuation attenuation = Attenuation::multiply;
 };
 
