@@ -16,10 +16,6 @@
 namespace mtsm::shadow {
 namespace {
 
-/// Points whose raster position is further from the window than this many times its size
-/// are left to the scalar trace.
-constexpr float kFarthestOutside = 8.0f;
-
 // Measured (tests/bench/NOTES.md): lower planes leave acne, higher ones lose contact.
 /// Triangles of the near field are the receiver's own no higher than this above its
 /// tangent plane, in pixel footprints: they lie on a grid of 1/256 of one, mostly.
@@ -52,14 +48,6 @@ LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& li
     return setting;
 }
 
-/// Spreads the lowest 10 bits, two zeros between each.
-std::uint32_t spread(std::uint32_t x) {
-    x = (x | x << 16) & 0x030000ffu;
-    x = (x | x << 8) & 0x0300f00fu;
-    x = (x | x << 4) & 0x030c30c3u;
-    return (x | x << 2) & 0x09249249u;
-}
-
 float sum(std::uint32_t rays, const float* weights) {
     float total = 0.0f;
     for (; rays; rays &= rays - 1)
@@ -82,13 +70,12 @@ BundleQuery::Face::Face(const ShadowMap& map, std::uint32_t number, ZRange reach
       turn(glm::transpose(
           glm::dmat3(projection.right, projection.up, projection.forward))),
       depths(reach),
+      places(map, number, reach, light),
+      outline(projection, light),
       nearHeight(float(kNearHeight * projection.pixelFootprint(1.0))),
       nearField(map.nearField(number)),
       empty(map.zRange(number).empty()),
       nearest(LightRays::nearestOf(projection, reach)) {
-    const double width = map.info().width, height = map.info().height;
-    perWindow = {1.0 / width, 1.0 / height,
-                 1.0 / (projection.pixelFootprint(1.0) * std::max(width, height))};
     if (map.isOpaque())
         patches = &(*trace::patchTrees(map))[number];
     else
@@ -152,32 +139,6 @@ void BundleQuery::addRays(Face& face, bool normals,
             alike);
 }
 
-/// Where a point of light space lies in windows away from the middle of a face's; depth
-/// too.
-glm::vec3 BundleQuery::windowOf(const Face& face, glm::dvec3 p) const noexcept {
-    const Projection& view = face.projection;
-    const bool perspective = view.kind == ProjectionKind::perspective;
-    const auto w = perspective ? 1.0f / float(p.z) : 1.0f;
-    return {
-        (float(view.scale.x * p.x) * w + float(view.offset.x)) * face.perWindow.x - 0.5f,
-        (float(view.scale.y * p.y) * w + float(view.offset.y)) * face.perWindow.y - 0.5f,
-        (perspective ? 1.0f - face.depths.max * w : float(p.z) - face.depths.max) *
-            face.perWindow.z};
-}
-
-/// Do floats do for its rays through the face?
-bool BundleQuery::isSeen(const Face& face, glm::dvec3 p,
-                         glm::vec3 window) const noexcept {
-    // In floats a ray is as exact as its start: to an eighth of a pixel where layers are.
-    const Projection& view = face.projection;
-    const double size = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-    if (!(size <= 0x1p20 * view.pixelFootprint(face.depths.min))) return false;
-    if (view.kind == ProjectionKind::perspective && !(p.z > 0.5 * face.depths.min))
-        return false;
-    return std::abs(window.x) <= kFarthestOutside &&
-           std::abs(window.y) <= kFarthestOutside;
-}
-
 /// One bit for each face: may rays from the point to the light meet something there?
 /// Always its own.
 std::uint32_t BundleQuery::facesMet(std::uint32_t home, glm::dvec3 point) const noexcept {
@@ -215,30 +176,50 @@ std::uint32_t BundleQuery::facesMet(std::uint32_t home, glm::dvec3 point) const 
     return met;
 }
 
-std::optional<std::uint32_t> BundleQuery::placeOf(glm::dvec3 point) const noexcept {
-    const std::uint32_t home = faceOf(point);
-    const auto inLight = [&](const Face& face) {
-        return face.turn * (point - face.projection.eye);
+void BundleQuery::findPlaces(const glm::dvec3* points, int count,
+                             std::uint32_t* places) const noexcept {
+    if (faces_.size() == 1) return faces_[0].places.find(points, count, places);
+    constexpr int kAtOnce = ReceiverPlaces::kAtOnce;
+    std::uint32_t home[kAtOnce], met[kAtOnce];
+    for (int i = 0; i < count; ++i) {
+        home[i] = faceOf(points[i]);
+        met[i] = 1u << home[i];
+    }
+    // In its own face first, then in each that it meets besides.
+    const auto ask = [&](std::uint32_t face, const auto& concerns, const auto& take) {
+        glm::dvec3 some[kAtOnce];
+        int from[kAtOnce], size = 0;
+        for (int i = 0; i < count; ++i) {
+            if (!concerns(i)) continue;
+            some[size] = points[i];
+            from[size++] = i;
+        }
+        std::uint32_t found[kAtOnce];
+        if (size > 0) faces_[face].places.find(some, size, found);
+        for (int k = 0; k < size; ++k)
+            take(from[k], found[k]);
     };
-    const glm::dvec3 p = inLight(faces_[home]);
-    const glm::vec3 window = windowOf(faces_[home], p);
-    if (!isSeen(faces_[home], p, window)) return std::nullopt;
-    std::uint32_t place = 0;
-    for (int i = 0; i < 3; ++i) {
-        // Finest in the middle, and nothing is too far away.
-        const float near = window[i] / (1.0f + std::abs(window[i]));
-        const float cell = std::clamp(512.0f + 512.0f * near, 0.0f, 1023.0f);
-        place |= spread(std::uint32_t(cell)) << i;
-    }
-    if (faces_.size() == 1) return place;
-    // Those whose rays meet several faces together.
-    const std::uint32_t met = facesMet(home, point);
     for (std::uint32_t f = 0; f < 6; ++f) {
-        if (f == home || !(met >> f & 1)) continue;
-        const glm::dvec3 q = inLight(faces_[f]);
-        if (!isSeen(faces_[f], q, windowOf(faces_[f], q))) return std::nullopt;
+        ask(
+            f, [&](int i) { return home[i] == f; },
+            [&](int i, std::uint32_t found) { places[i] = found; });
     }
-    return place >> 4 | std::uint32_t((met & (met - 1)) != 0) << 26 | home << 27;
+    std::uint32_t any = 0;
+    for (int i = 0; i < count; ++i) {
+        if (places[i] == ReceiverPlaces::kNone) continue;
+        met[i] = facesMet(home[i], points[i]);
+        const bool several = met[i] != 1u << home[i];
+        if (several) any |= met[i];
+        places[i] = places[i] >> 4 | std::uint32_t(several) << 26 | home[i] << 27;
+    }
+    for (std::uint32_t f = 0; f < 6; ++f) {
+        if (!(any >> f & 1)) continue;
+        ask(
+            f, [&](int i) { return home[i] != f && (met[i] >> f & 1); },
+            [&](int i, std::uint32_t found) {
+                if (found == ReceiverPlaces::kNone) places[i] = found;
+            });
+    }
 }
 
 std::uint32_t BundleQuery::keyOf(const Receiver& receiver) const noexcept {
@@ -445,6 +426,64 @@ void BundleQuery::addUp(const Rays& rays, const std::uint16_t* valid, bool weigh
             s.most = std::max({s.most, v.x, v.y, v.z});
         }
     }
+}
+
+/// Does nothing lie between those that have all of the light above them and it?
+bool BundleQuery::isFree(const Face& face, const Outlook& starts) const noexcept {
+    std::optional<trace::RayHull> hull = face.outline.hull(starts);
+    if (!hull) return false;
+    if (!face.nearField.empty()) {
+        const bool perspective = face.projection.kind == ProjectionKind::perspective;
+        const auto depth = [&](float w) {
+            return float(kNearDepth * face.projection.pixelFootprint(1.0)) *
+                   (perspective ? w : 1.0f);
+        };
+        if (trace::mayMeet(face.nearField, *hull, depth(hull->wHigh))) return false;
+        hull->wFirst += (1.0f - 0x1p-10f) * depth(hull->wLow);
+    }
+    return !trace::mayMeet(*face.patches, *hull);
+}
+
+/// Tells of receivers in sixteens, all at once or in fewer and fewer.
+void BundleQuery::findLit(const Face& face, Outlook* outlooks, int count,
+                          Glance* told) const noexcept {
+    Outlook all;
+    for (int i = 0; i < count; ++i)
+        all.include(outlooks[i]);
+    if (all.above == 0) return;
+    if (isFree(face, all)) {
+        for (int i = 0; i < count; ++i) {
+            for (std::uint32_t rest = outlooks[i].above; rest; rest &= rest - 1)
+                told[i * trace::kMostReceivers + std::countr_zero(rest)] = Glance::lit;
+        }
+    } else if (count > 1) {
+        const int part = (count + 3) / 4;
+        for (int first = 0; first < count; first += part)
+            findLit(face, outlooks + first, std::min(part, count - first),
+                    told + first * trace::kMostReceivers);
+    }
+}
+
+void BundleQuery::glance(const Receiver* receivers, int count, Glance* told,
+                         QueryStats& stats) const noexcept {
+    std::fill_n(told, count, Glance::unknown);
+    const std::uint32_t home = faceOf(receivers[0].point);
+    const Face& face = faces_[home];
+    Outlook outlooks[kMostGlances / trace::kMostReceivers];
+    int parts = 0;
+    for (int first = 0; first < count; first += trace::kMostReceivers, ++parts) {
+        outlooks[parts] = face.outline.outlook(
+            receivers + first, std::min(count - first, trace::kMostReceivers));
+        for (std::uint32_t rest = outlooks[parts].below; rest; rest &= rest - 1)
+            told[first + std::countr_zero(rest)] = Glance::dark;
+    }
+    // Nothing lies in other faces either: they are not met.
+    const bool single =
+        faces_.size() == 1 || facesMet(home, receivers[0].point) == 1u << home;
+    if (opaque_ && single) findLit(face, outlooks, parts, told);
+    const std::uint32_t rays = probes() ? std::uint32_t(trace::kLanes) : samples_;
+    for (int i = 0; i < count; ++i)
+        stats.rays += told[i] == Glance::lit ? rays : 0;
 }
 
 bool BundleQuery::probes() const noexcept {

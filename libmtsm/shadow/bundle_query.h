@@ -18,8 +18,10 @@
 #include "light/sample.h"
 #include "mtsm/map.h"
 #include "mtsm/shadow.h"
+#include "shadow/light_outline.h"
 #include "shadow/light_rays.h"
 #include "shadow/query.h"
+#include "shadow/receiver_places.h"
 #include "trace/density_trace.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
@@ -32,27 +34,29 @@ class BundleQuery {
     [[nodiscard]] static bool serves(const ShadowMap& map, const AreaLight& light,
                                      const ShadowOptions& options);
 
-    struct Receiver {
-        glm::dvec3 point{0.0};
-        /// Any length; zero: none, for all of a call or none.
-        glm::dvec3 normal{0.0};
-    };
     /// `only`: nothing else will be asked for.
     BundleQuery(const ShadowMap& map, const AreaLight& light,
                 const ShadowOptions& options, const Receiver* only = nullptr);
 
-    /// A number below 2^30 that is close for points whose rays take much the same way;
-    /// nothing for points that it cannot answer: far outside the view, rays in float are
-    /// too coarse. The point must be finite and not behind the light.
-    [[nodiscard]] std::optional<std::uint32_t> placeOf(glm::dvec3 point) const noexcept;
-    /// Bits of a place that those of one call of look() must have in common.
-    [[nodiscard]] std::uint32_t sameFace() const noexcept {
+    /// Of 1 to ReceiverPlaces::kAtOnce points numbers as ReceiverPlaces has them.
+    void findPlaces(const glm::dvec3* points, int count,
+                    std::uint32_t* places) const noexcept;
+    /// Bits of a place that those of one call of glance() or look() must have in common.
+    [[nodiscard]] std::uint32_t together() const noexcept {
         return faces_.size() > 1 ? kFaceBits : 0u;
     }
-    /// The same of points.
+    /// The face that a point belongs to.
     [[nodiscard]] std::uint32_t faceOf(glm::dvec3 point) const noexcept {
         return faces_.size() > 1 ? trace::faceOf(map_, point) : 0u;
     }
+
+    /// What can be told of receivers without their rays.
+    enum class Glance : std::uint8_t { unknown, lit, dark };
+    static constexpr int kMostGlances = 256;
+    /// Of 1 to kMostGlances receivers, better if they are neighbours; counts the rays
+    /// that they would take. What it tells is what the rays would.
+    void glance(const Receiver* receivers, int count, Glance* told,
+                QueryStats& stats) const noexcept;
 
     /// What is known of a receiver.
     struct Sums {
@@ -74,7 +78,7 @@ class BundleQuery {
     [[nodiscard]] glm::vec3 factorsOf(const Sums& sums, bool probed) const noexcept;
 
   private:
-    static constexpr std::uint32_t kFaceBits = 7u << 27;
+    static constexpr std::uint32_t kFaceBits = 15u << 26;  // and if others are met
 
     /// A face as the rays of the light go through it.
     struct Face {
@@ -84,8 +88,8 @@ class BundleQuery {
         const Projection& projection;
         glm::dmat3 turn;  ///< world to light space
         ZRange depths;    ///< that rays are followed to
-        /// placeOf: one over the window's sides and its depth.
-        glm::vec3 perWindow;
+        ReceiverPlaces places;
+        LightOutline outline;
         float nearHeight;  ///< RayBundle's measure of a plane's height
         const NearField& nearField;
         const trace::PatchTree* patches = nullptr;    ///< of an opaque map
@@ -107,11 +111,11 @@ class BundleQuery {
         trace::RayDepths depths;
     };
 
+    void findLit(const Face& face, Outlook* outlooks, int count,
+                 Glance* told) const noexcept;
+    [[nodiscard]] bool isFree(const Face& face, const Outlook& starts) const noexcept;
     void addRays(Face& face, bool normals, std::optional<std::uint32_t> onlyKey);
     [[nodiscard]] std::uint32_t keyOf(const Receiver& receiver) const noexcept;
-    [[nodiscard]] glm::vec3 windowOf(const Face& face, glm::dvec3 inLight) const noexcept;
-    [[nodiscard]] bool isSeen(const Face& face, glm::dvec3 inLight,
-                              glm::vec3 window) const noexcept;
     [[nodiscard]] std::uint32_t facesMet(std::uint32_t home,
                                          glm::dvec3 point) const noexcept;
     [[nodiscard]] ReceiverLanes lanesOf(const Face& face, const Receiver* receivers,

@@ -57,7 +57,7 @@ class Groups {
         : bundles_(bundles), stats_(stats), take_(take) {}
 
     /// Up to 16 of them: all with normals, or none.
-    void add(const shadow::BundleQuery::Receiver* receivers, const std::size_t* points,
+    void add(const shadow::Receiver* receivers, const std::size_t* points,
              std::size_t count) {
         using Part = shadow::BundleQuery::Part;
         shadow::BundleQuery::Sums sums[trace::kMostReceivers];
@@ -96,7 +96,7 @@ class Groups {
     const shadow::BundleQuery& bundles_;
     QueryStats& stats_;
     const Take& take_;
-    shadow::BundleQuery::Receiver receivers_[trace::kMostReceivers];
+    shadow::Receiver receivers_[trace::kMostReceivers];
     std::size_t points_[trace::kMostReceivers];
     shadow::BundleQuery::Sums sums_[trace::kMostReceivers];
     std::size_t waiting_ = 0;
@@ -107,27 +107,49 @@ template <typename Take>
 void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles,
                   const glm::dvec3* points, const glm::dvec3* normals, std::size_t count,
                   QueryStats& stats, const Take& take) {
-    const shadow::ReceiverOrder order(query, bundles, points, normals, count);
+    const shadow::ReceiverOrder order(bundles, points, normals, count);
     std::mutex mutex;
     const auto answer = [&](std::size_t begin, std::size_t end) {
+        using Glance = shadow::BundleQuery::Glance;
+        constexpr int kMost = shadow::BundleQuery::kMostGlances;
         QueryStats part;
         Groups groups(bundles, part, take);
+        shadow::Receiver receivers[kMost];
+        std::size_t indices[kMost];
+        Glance told[kMost];
         for (std::size_t first = begin; first < end;) {
-            const shadow::ReceiverOrder::Group group = order.group(first, end);
-            shadow::BundleQuery::Receiver receivers[trace::kMostReceivers];
-            std::size_t indices[trace::kMostReceivers];
-            for (std::size_t k = 0; k < group.count; ++k) {
+            const shadow::ReceiverOrder::Block block =
+                order.block(first, std::min(end, first + kMost));
+            for (std::size_t k = 0; k < block.count; ++k) {
                 const std::size_t i = indices[k] = order[first + k];
                 receivers[k].point = points[i];
-                if (normals && shadow::saysSomething(normals[i]))
-                    receivers[k].normal = normals[i];
-                if (group.bundled)
-                    query.count(points[i], part);
-                else
-                    take(i, query.shadowFactor(points[i], receivers[k].normal, part));
+                receivers[k].normal = normals && shadow::saysSomething(normals[i])
+                                          ? normals[i]
+                                          : glm::dvec3(0.0);
             }
-            if (group.bundled) groups.add(receivers, indices, group.count);
-            first += group.count;
+            first += block.count;
+            if (!block.bundled) {
+                for (std::size_t k = 0; k < block.count; ++k)
+                    take(indices[k], query.shadowFactor(receivers[k].point,
+                                                        receivers[k].normal, part));
+                continue;
+            }
+            for (std::size_t k = 0; k < block.count; ++k)
+                query.count(receivers[k].point, part);
+            bundles.glance(receivers, int(block.count), told, part);
+            // The others close ranks.
+            std::size_t left = 0;
+            for (std::size_t k = 0; k < block.count; ++k) {
+                if (told[k] != Glance::unknown) {
+                    take(indices[k], glm::vec3(told[k] == Glance::lit ? 0.0f : 1.0f));
+                    continue;
+                }
+                receivers[left] = receivers[k];
+                indices[left++] = indices[k];
+            }
+            for (std::size_t k = 0; k < left; k += trace::kMostReceivers)
+                groups.add(receivers + k, indices + k,
+                           std::min(left - k, std::size_t(trace::kMostReceivers)));
         }
         groups.finish();
         const std::lock_guard lock(mutex);
@@ -143,7 +165,7 @@ void answerBundles(const shadow::Query& query, const ShadowMap& map,
                    const glm::dvec3* normals, std::size_t count,
                    const ShadowOptions& options, QueryStats& stats, const Take& take) {
     // What a point that is not finite is asked with does not matter.
-    const shadow::BundleQuery::Receiver only{
+    const shadow::Receiver only{
         points[0], normals ? shadow::unitNormal(normals[0]) : glm::dvec3(0.0)};
     const shadow::BundleQuery bundles(map, light, options, count == 1 ? &only : nullptr);
     // Orders count in 32 bits.
