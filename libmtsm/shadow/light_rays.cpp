@@ -235,7 +235,7 @@ class Starts {
         const auto grow = [&](Vec& low, Vec& high, Vec place, float scale) {
             const Vec zero = hn::Zero(kF);
             const Vec margin = view_.perspective
-                                   ? hn::Mul(hn::Abs(place), constant(scale * 0x1p-20f))
+                                   ? hn::Mul(hn::Abs(place), constant(scale * 0x1p-21f))
                                    : zero;
             low = hn::Mul(low, hn::IfThenElse(hn::Lt(low, zero), more, less));
             high = hn::Mul(high, hn::IfThenElse(hn::Lt(high, zero), less, more));
