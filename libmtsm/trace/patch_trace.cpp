@@ -55,6 +55,11 @@ HWY_INLINE hn::Vec<D> loadField(D d, const float* const* groups, int field, int 
     }
 }
 
+/// How large a texel may be beside the distance of neighbouring rays: twice that costs as
+/// much and errs by a fifth more (tests/bench/NOTES.md).
+constexpr float kTexel = 0.5f;
+constexpr int kMostLevels = 24;
+
 /// Groups that wait, with the receivers that they may still matter to.
 struct Waiting {
     std::uint32_t group, groups;
@@ -194,7 +199,7 @@ class Traversal {
 
     void findHull() {
         hull_ = {HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF,
-                 HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF, HUGE_VALF};
+                 HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF, HUGE_VALF, 0.0f};
         for (std::uint32_t rest = lanes_; rest; rest &= rest - 1) {
             const int i = std::countr_zero(rest);
             const auto include = [](float& low, float& high, float a, float b) {
@@ -519,11 +524,6 @@ class Traversal {
         return bitsOf(hn::Or(full, hn::Lt(threshold, share)));
     }
 
-    static constexpr int kMostLevels = 24;
-    /// How large a texel may be beside the distance of neighbouring rays: twice that
-    /// costs as much and errs by a fifth more (tests/bench/NOTES.md).
-    static constexpr float kTexel = 0.5f;
-
     static constexpr std::uint32_t kAll = (1u << kN) - 1;
 
     const PatchTree& tree_;
@@ -540,13 +540,13 @@ void tracePatches(const PatchTree& tree, RayBundle& bundle) {
     Traversal(tree, bundle).run();
 }
 
-/// mayMeet: depth first, until a patch is met that is no larger than the hull there.
+/// mayMeet: depth first, until a patch is met that may be taken as it is.
 class Glance {
   public:
     Glance(const PatchTree& tree, const RayHull& hull) : tree_(tree), hull_(hull) {}
 
     bool run() {
-        enterTiles(tree_, hull_, false, 1,
+        enterTiles(tree_, hull_, false, firstLevel(),
                    [&](const PatchTree::Entry& tile) { push(tile.group, tile.groups); });
         for (int looks = 0; waiting_ > 0; ++looks) {
             if (full_ || looks == kMostLooks || look()) return true;
@@ -555,6 +555,17 @@ class Glance {
     }
 
   private:
+    /// No finer than the first at which some ray may be answered (RayBundle::topLevel).
+    [[nodiscard]] std::size_t firstLevel() const {
+        const float width = std::max(hull_.slopeHighU - hull_.slopeLowU,
+                                     hull_.slopeHighV - hull_.slopeLowV) *
+                            (tree_.highest() - hull_.wLow);
+        std::size_t level = 1;
+        for (float side = kTexels; side < width && level < kMostLevels; side *= 2.0f)
+            ++level;
+        return level;
+    }
+
     void push(std::uint32_t group, std::uint32_t groups) {
         for (std::uint32_t i = 0; i < groups; ++i) {
             if (waiting_ == kSize) {
@@ -589,6 +600,8 @@ class Glance {
         return false;
     }
 
+    /// It is if rays may take it as it is, so that what its children say is not what they
+    /// would find; and where its children would tell little more.
     [[nodiscard]] bool isFine(const PatchGroup& g, int i) const {
         const float most = g.high[i] - hull_.wLow;
         const float u =
@@ -596,6 +609,7 @@ class Glance {
         const float v =
             hull_.vHigh - hull_.vLow + most * (hull_.slopeHighV - hull_.slopeLowV);
         return g.childGroups[i] == 0 ||
+               g.texel[i] <= hull_.spread * kTexel * (g.low[i] - hull_.wLow) ||
                std::max(g.halfU[i], g.halfV[i]) <= std::max(u, v);
     }
 

@@ -426,12 +426,21 @@ TEST_CASE("a hull that meets nothing has no rays that are blocked", "[trace][twi
         const PatchTree tree = treeOf(islands.map(layers));
         for (int round = 0; round < 1500; ++round) {
             const double reach = std::exp2(islands.random.in(-3, 4));
-            const Rays rays = raysUp(islands.random, 6, 2, reach);
+            Rays rays = raysUp(islands.random, 6, 2, reach);
+            // Coarse answers are not always those of the pixels.
+            const double spread = round % 2 ? std::exp2(islands.random.in(2, 9)) : 0.0;
             const trace::RayBundle& b = rays.bundle;
+            int level = 0;
+            for (double side = 16;
+                 round % 2 &&
+                 side < (b.slopeHighU[0] - b.slopeLowU[0]) * (tree.highest() - b.w[0]);
+                 side *= 2)
+                ++level;
+            setCoarseness(rays, spread, level);
             trace::RayHull hull{
-                b.u[0], b.u[0],         b.v[0],          b.v[0],         b.w[0],
-                b.w[0], b.slopeLowU[0], b.slopeHighU[0], b.slopeLowV[0], b.slopeHighV[0],
-                0.0f};
+                b.u[0],         b.u[0],          b.v[0],         b.v[0],
+                b.w[0],         b.w[0],          b.slopeLowU[0], b.slopeHighU[0],
+                b.slopeLowV[0], b.slopeHighV[0], 0.0f,           float(spread)};
             for (int i = 1; i < 6; ++i) {
                 hull.uLow = std::min(hull.uLow, b.u[i]);
                 hull.uHigh = std::max(hull.uHigh, b.u[i]);
