@@ -25,7 +25,7 @@ double processorTime() {
     return double(t.tv_sec) + 1e-9 * double(t.tv_nsec);
 }
 
-/// Two footprints behind layers, pixel by pixel as in a picture; or behind all of them.
+/// Eight footprints behind layers, pixel by pixel as in a picture; or behind all of them.
 std::vector<glm::dvec3> receivers(const ShadowMap& map, bool behind, std::size_t count) {
     std::mt19937_64 random(1);
     const auto unit = [&] { return double(random() >> 11) * 0x1p-53; };
@@ -42,7 +42,7 @@ std::vector<glm::dvec3> receivers(const ShadowMap& map, bool behind, std::size_t
                 if (pixel.count == 0) continue;
                 double z = pixel.z[std::size_t(unit() * pixel.count)];
                 if (behind) z = 1.3 * map.zRange(f).max;
-                z += 2.0 * p.pixelFootprint(z);
+                z += 8.0 * p.pixelFootprint(z);
                 points.push_back(
                     p.worldFromLight(p.lightFromRaster({x + unit(), y + unit()}, z)));
             }

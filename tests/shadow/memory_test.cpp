@@ -27,24 +27,64 @@ void* give(std::size_t size, std::size_t alignment) {
     return p;
 }
 
+void* giveOrNot(std::size_t size, std::size_t alignment) noexcept {
+    try {
+        return give(size, alignment);
+    } catch (const std::bad_alloc&) {
+        return nullptr;
+    }
+}
+
 }  // namespace
 
-void* operator new(std::size_t size) {
-    return give(size, 1);
+// All of them: a sanitizer's own must not be mixed with these.
+using std::align_val_t, std::nothrow_t, std::size_t;
+void* operator new(size_t n) {
+    return give(n, 1);
 }
-void* operator new(std::size_t size, std::align_val_t alignment) {
-    return give(size, std::size_t(alignment));
+void* operator new[](size_t n) {
+    return give(n, 1);
+}
+void* operator new(size_t n, align_val_t a) {
+    return give(n, size_t(a));
+}
+void* operator new[](size_t n, align_val_t a) {
+    return give(n, size_t(a));
+}
+void* operator new(size_t n, const nothrow_t&) noexcept {
+    return giveOrNot(n, 1);
+}
+void* operator new[](size_t n, const nothrow_t&) noexcept {
+    return giveOrNot(n, 1);
+}
+void* operator new(size_t n, align_val_t a, const nothrow_t&) noexcept {
+    return giveOrNot(n, size_t(a));
+}
+void* operator new[](size_t n, align_val_t a, const nothrow_t&) noexcept {
+    return giveOrNot(n, size_t(a));
 }
 void operator delete(void* p) noexcept {
     std::free(p);
 }
-void operator delete(void* p, std::size_t) noexcept {
+void operator delete[](void* p) noexcept {
     std::free(p);
 }
-void operator delete(void* p, std::align_val_t) noexcept {
+void operator delete(void* p, size_t) noexcept {
     std::free(p);
 }
-void operator delete(void* p, std::size_t, std::align_val_t) noexcept {
+void operator delete[](void* p, size_t) noexcept {
+    std::free(p);
+}
+void operator delete(void* p, align_val_t) noexcept {
+    std::free(p);
+}
+void operator delete[](void* p, align_val_t) noexcept {
+    std::free(p);
+}
+void operator delete(void* p, size_t, align_val_t) noexcept {
+    std::free(p);
+}
+void operator delete[](void* p, size_t, align_val_t) noexcept {
     std::free(p);
 }
 
