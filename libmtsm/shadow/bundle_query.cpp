@@ -278,6 +278,14 @@ void BundleQuery::setLane(const Face& face, const Receiver& receiver, int lane,
     lanes.key[lane] = keyOf(receiver);
 }
 
+trace::DensityTraceOptions BundleQuery::densityOptions() const noexcept {
+    trace::DensityTraceOptions options;
+    options.bias = bias_;
+    const double threshold = thresholdOf(options_.threshold);
+    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
+    return options;
+}
+
 /// What is close to the receivers, as exactly as the casters were given; leaves the
 /// bundle with the layers' part of the rays.
 void BundleQuery::traceNear(const Face& face, Rays& rays) const noexcept {
@@ -293,11 +301,7 @@ void BundleQuery::follow(const Face& face, Rays& rays) const noexcept {
         trace::tracePatches(*face.patches, rays.bundle);
         return;
     }
-    trace::DensityTraceOptions options;
-    options.bias = bias_;
-    const double threshold = thresholdOf(options_.threshold);
-    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
-    trace::traceDensity(*face.density, options, rays.bundle, rays.depths);
+    trace::traceDensity(*face.density, densityOptions(), rays.bundle, rays.depths);
 }
 
 /// The same in the other faces that rays meet. `met` [receiver]: faces, one bit each.
@@ -441,7 +445,8 @@ bool BundleQuery::isFree(const Face& face, const Outlook& starts) const noexcept
         if (trace::mayMeet(face.nearField, *hull, depth(hull->wHigh))) return false;
         hull->wFirst += (1.0f - 0x1p-10f) * depth(hull->wLow);
     }
-    return !trace::mayMeet(*face.patches, *hull);
+    return face.patches ? !trace::mayMeet(*face.patches, *hull)
+                        : !trace::mayMeet(*face.density, densityOptions(), *hull);
 }
 
 /// Tells of receivers in sixteens, all at once or in fewer and fewer.
@@ -480,7 +485,7 @@ void BundleQuery::glance(const Receiver* receivers, int count, Glance* told,
     // Nothing lies in other faces either: they are not met.
     const bool single =
         faces_.size() == 1 || facesMet(home, receivers[0].point) == 1u << home;
-    if (opaque_ && single) findLit(face, outlooks, parts, told);
+    if (single) findLit(face, outlooks, parts, told);
     const std::uint32_t rays = probes() ? std::uint32_t(trace::kLanes) : samples_;
     for (int i = 0; i < count; ++i)
         stats.rays += told[i] == Glance::lit ? rays : 0;

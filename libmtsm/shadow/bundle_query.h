@@ -129,6 +129,7 @@ class BundleQuery {
     void cut(std::uint32_t home, std::uint32_t number, const Receiver& receiver,
              const RayFates& homeFates, int homeRow, int row, Rays& rays) const noexcept;
     void follow(const Face& face, Rays& rays) const noexcept;
+    [[nodiscard]] trace::DensityTraceOptions densityOptions() const noexcept;
     void traceNear(const Face& face, Rays& rays) const noexcept;
     void addUp(const Rays& rays, const std::uint16_t* valid, bool weights,
                Sums* sums) const noexcept;
