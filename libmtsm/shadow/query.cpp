@@ -144,9 +144,7 @@ bool Query::mayBeTruncated(glm::dvec3 point) const noexcept {
 
 glm::vec3 visibilityByDefinition(const ShadowMap& map, const ShadowRay& ray,
                                  const RayOptions& options) noexcept {
-    if (!base::isFinite(ray.origin) || !base::isFinite(ray.direction) ||
-        !(ray.length > 0.0))
-        return glm::vec3(1.0f);
+    if (!isRay(ray)) return glm::vec3(1.0f);
     trace::Ray traced;
     traced.origin = ray.origin;
     traced.delta = ray.direction;

@@ -6,7 +6,6 @@
 #include <glm/geometric.hpp>
 #include <glm/matrix.hpp>
 
-#include "base/finite.h"
 #include "shadow/light_rays.h"
 #include "shadow/map_faces.h"
 #include "shadow/query.h"
@@ -144,78 +143,72 @@ bool RayQuery::isSeen(const Face& face, glm::dvec3 p) const noexcept {
            std::abs(at.v / height - 0.5) <= kFarthestOutside;
 }
 
-/// Appends what rays have in a face.
-void RayQuery::cutUp(std::uint32_t number, const ShadowRay* rays, std::size_t count,
-                     Piece* pieces, std::size_t& found, Fate* fates) const noexcept {
+/// Of a ray, the part that belongs to a face and lies between its depths and, but for a
+/// pixel, in its window. In light space the ray is o + t d.
+RayPart RayQuery::partOf(std::uint32_t number, const ShadowRay& ray, glm::dvec3 o,
+                         glm::dvec3 d) const noexcept {
     const Face& face = faces_[number];
     const Projection& p = *face.projection;
-    const bool perspective = p.kind == ProjectionKind::perspective;
-    const double width = map_.info().width, height = map_.info().height;
-    if (face.empty) return;
-    for (std::size_t i = 0; i < count; ++i) {
-        const ShadowRay& ray = rays[i];
-        if (!base::isFinite(ray.origin) || !base::isFinite(ray.direction) ||
-            !(ray.length > 0.0))
-            continue;
-        const glm::dvec3 fromEye = ray.origin - p.eye;
-        RayPart part;
-        if (faceCount_ > 1) {
-            double z[6], dz[6];
-            for (std::uint32_t f = 0; f < 6; ++f) {
-                z[f] = glm::dot(faces_[f].projection->forward, fromEye);
-                dz[f] = glm::dot(faces_[f].projection->forward, ray.direction);
-            }
-            part = partIn(number, z, dz);
+    RayPart part;
+    if (faceCount_ > 1) {
+        double z[6], dz[6];
+        for (std::uint32_t f = 0; f < 6; ++f) {
+            const Projection& view = *faces_[f].projection;
+            z[f] = glm::dot(view.forward, ray.origin - view.eye);
+            dz[f] = glm::dot(view.forward, ray.direction);
         }
-        part.end = std::min(part.end, ray.length);
-        const glm::dvec3 o = face.turn * fromEye, d = face.turn * ray.direction;
-        const auto pointAt = [&](double t) { return o + t * d; };
-        // What lies a pixel beyond the window is of no account.
-        const double ha = perspective ? o.z : 1.0, hb = perspective ? d.z : 0.0;
-        const Linear x{p.scale.x * o.x + p.offset.x * ha,
-                       p.scale.x * d.x + p.offset.x * hb};
-        const Linear y{p.scale.y * o.y + p.offset.y * ha,
-                       p.scale.y * d.y + p.offset.y * hb};
-        clip({o.z - face.nearest, d.z}, part);
-        clip({face.farthest - o.z, -d.z}, part);
-        clip({x.a + ha, x.b + hb}, part);
-        clip({(width + 1.0) * ha - x.a, (width + 1.0) * hb - x.b}, part);
-        clip({y.a + ha, y.b + hb}, part);
-        clip({(height + 1.0) * ha - y.a, (height + 1.0) * hb - y.b}, part);
-        if (!(part.begin < part.end) || !std::isfinite(part.end)) continue;
-
-        // From the deeper end to the other.
-        const bool rises = d.z < 0.0;
-        const double tEnd = rises ? part.end : part.begin;
-        double tStart = rises ? part.begin : part.end;
-        Piece piece;
-        piece.ray = std::uint32_t(i);
-        piece.begin = kLeastBegin;
-        piece.shares = rises && isSeen(face, o);
-        if (piece.shares) {
-            if (tStart > 0.0) {
-                const double share = tStart / tEnd;
-                const double slant =
-                    perspective ? pointAt(tEnd).z / pointAt(tStart).z : 1.0;
-                piece.begin = std::max(piece.begin, float(share * slant));
-            }
-            tStart = 0.0;
-        }
-        const Place a = project(p, pointAt(tStart)), b = project(p, pointAt(tEnd));
-        const double starts[3] = {offBorder(a.u, width, border_),
-                                  offBorder(a.v, height, border_), a.w};
-        const double ends[3] = {offBorder(b.u, width, border_),
-                                offBorder(b.v, height, border_), b.w};
-        for (int k = 0; k < 3; ++k) {
-            piece.start[k] = float(starts[k]);
-            piece.way[k] = float(ends[k] - double(piece.start[k]));
-        }
-        if (!(piece.way[2] >= kLeastRise * std::max(std::abs(a.w), std::abs(b.w)))) {
-            fates[i].alone = true;
-            continue;
-        }
-        pieces[found++] = piece;
+        part = partIn(number, z, dz);
     }
+    part.end = std::min(part.end, ray.length);
+    clip({o.z - face.nearest, d.z}, part);
+    clip({face.farthest - o.z, -d.z}, part);
+    const bool perspective = p.kind == ProjectionKind::perspective;
+    const double ha = perspective ? o.z : 1.0, hb = perspective ? d.z : 0.0;
+    for (int axis = 0; axis < 2; ++axis) {
+        const double size = axis == 0 ? map_.info().width : map_.info().height;
+        const double a = p.scale[axis] * o[axis] + p.offset[axis] * ha;
+        const double b = p.scale[axis] * d[axis] + p.offset[axis] * hb;
+        clip({a + ha, b + hb}, part);
+        clip({(size + 1.0) * ha - a, (size + 1.0) * hb - b}, part);
+    }
+    return part;
+}
+
+/// What a ray has in a face; nothing if it meets nothing there or goes alone.
+std::optional<RayQuery::Piece> RayQuery::pieceOf(std::uint32_t number,
+                                                 const ShadowRay& ray,
+                                                 Fate& fate) const noexcept {
+    const Face& face = faces_[number];
+    const Projection& p = *face.projection;
+    const glm::dvec3 o = face.turn * (ray.origin - p.eye), d = face.turn * ray.direction;
+    const RayPart part = partOf(number, ray, o, d);
+    if (!(part.begin < part.end) || !std::isfinite(part.end)) return std::nullopt;
+
+    // From the deeper end to the other; from the origin itself, if that will do.
+    const bool rises = d.z < 0.0;
+    const double tEnd = rises ? part.end : part.begin;
+    double tStart = rises ? part.begin : part.end;
+    Piece piece;
+    piece.begin = kLeastBegin;
+    piece.shares = rises && isSeen(face, o);
+    if (piece.shares) {
+        const bool perspective = p.kind == ProjectionKind::perspective;
+        const double slant =
+            perspective ? (o.z + tEnd * d.z) / (o.z + tStart * d.z) : 1.0;
+        piece.begin = std::max(piece.begin, float(tStart / tEnd * slant));
+        tStart = 0.0;
+    }
+    const Place a = project(p, o + tStart * d), b = project(p, o + tEnd * d);
+    const double width = map_.info().width, height = map_.info().height;
+    piece.start[0] = float(offBorder(a.u, width, border_));
+    piece.start[1] = float(offBorder(a.v, height, border_));
+    piece.start[2] = float(a.w);
+    piece.way[0] = float(offBorder(b.u, width, border_) - double(piece.start[0]));
+    piece.way[1] = float(offBorder(b.v, height, border_) - double(piece.start[1]));
+    piece.way[2] = float(b.w - double(piece.start[2]));
+    if (piece.way[2] >= kLeastRise * std::max(std::abs(a.w), std::abs(b.w))) return piece;
+    fate.alone = true;
+    return std::nullopt;
 }
 
 /// Pieces on their way.
@@ -420,7 +413,13 @@ void RayQuery::look(const ShadowRay* rays, std::size_t count,
     Piece pieces[kAtOnce];
     for (std::uint32_t f = 0; f < faceCount_; ++f) {
         std::size_t found = 0;
-        cutUp(f, rays, count, pieces, found, fates);
+        for (std::size_t i = 0; i < count && !faces_[f].empty; ++i) {
+            if (!isRay(rays[i])) continue;
+            const std::optional<Piece> piece = pieceOf(f, rays[i], fates[i]);
+            if (!piece) continue;
+            pieces[found] = *piece;
+            pieces[found++].ray = std::uint32_t(i);
+        }
         if (found > 0) followAll(faces_[f], rays, pieces, found, fates);
     }
     const std::uint32_t channels = map_.info().channels;

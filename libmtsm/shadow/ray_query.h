@@ -9,10 +9,12 @@
 #include <cstdint>
 #include <glm/mat3x3.hpp>
 #include <glm/vec3.hpp>
+#include <optional>
 #include <vector>
 
 #include "mtsm/map.h"
 #include "mtsm/shadow.h"
+#include "shadow/map_faces.h"
 #include "trace/density_trace.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
@@ -66,8 +68,10 @@ class RayQuery {
     class Bundle;
 
     [[nodiscard]] bool isSeen(const Face& face, glm::dvec3 inLight) const noexcept;
-    void cutUp(std::uint32_t face, const ShadowRay* rays, std::size_t count,
-               Piece* pieces, std::size_t& found, Fate* fates) const noexcept;
+    [[nodiscard]] RayPart partOf(std::uint32_t face, const ShadowRay& ray, glm::dvec3 o,
+                                 glm::dvec3 d) const noexcept;
+    [[nodiscard]] std::optional<Piece> pieceOf(std::uint32_t face, const ShadowRay& ray,
+                                               Fate& fate) const noexcept;
     void followAll(const Face& face, const ShadowRay* rays, Piece* pieces,
                    std::size_t count, Fate* fates) const noexcept;
 
