@@ -364,10 +364,13 @@ class Traversal {
         std::uint32_t answered = lanes;
         if (g.childGroups[i] > 0) {
             answered &= mayAnswer_[g.level[i]];
-            if (answered && g.sheet[i]) test<true>(g, i, groups, answered);
+            if (answered && g.sheet[i]) test<Patch::sheet>(g, i, groups, answered);
             answered &= far & ~std::uint32_t(bundle_.wide);
         }
-        if (answered) test<false>(g, i, groups, answered);
+        if (answered && g.bumpy[i])
+            test<Patch::bumpy>(g, i, groups, answered);
+        else if (answered)
+            test<Patch::whole>(g, i, groups, answered);
         const std::uint32_t rest = lanes & ~answered & lanes_;
         if (rest == 0) return;
         queue_.push({g.children[i], g.childGroups[i], std::uint16_t(rest)});
@@ -403,9 +406,10 @@ class Traversal {
         std::uint32_t number;
     };
 
-    /// Closes the rays of these receivers and groups that the patch blocks. kSheet: those
-    /// that surely go through it; the patch's children still count for the others.
-    template <bool kSheet>
+    enum class Patch { whole, sheet, bumpy };
+    /// Closes the rays of these receivers and groups that the patch blocks. Of a sheet:
+    /// those that surely go through it; the patch's children still count for the others.
+    template <Patch kPatch>
     void test(const PatchGroup& g, int i, std::uint64_t groups, std::uint32_t lanes) {
         const auto texel = float(1u << g.level[i]);
         const float side = kTexels * texel;
@@ -432,8 +436,13 @@ class Traversal {
                     batch.dw = hn::Load(kF, bundle_.dw[row] + k);
                     batch.begin = hn::Load(kF, bundle_.begin[row] + k);
                     batch.threshold = bundle_.threshold[row] + k;
-                    const std::uint32_t hits =
-                        kSheet ? through(seen, batch) : met(seen, batch);
+                    std::uint32_t hits = 0;
+                    if constexpr (kPatch == Patch::sheet)
+                        hits = through(seen, batch);
+                    else if constexpr (kPatch == Patch::bumpy)
+                        hits = metBumps(seen, batch);
+                    else
+                        hits = met(seen, batch);
                     bundle_.open[row] &= std::uint16_t(~(hits << k));
                     closed = closed || hits == batch.open;
                 }
@@ -493,6 +502,33 @@ class Traversal {
         if (!p.g.shared[p.i])
             return hits & bitsOf(hn::Ne(hn::And(rowsAt(*p.cover, y), bit), hn::Zero(kI)));
         return hits & sharesAbove(p, r, y, bit);
+    }
+
+    /// Rays that meet the pixels of a bumpy patch, each of which lies on a plane of its
+    /// own.
+    std::uint32_t metBumps(const Seen& p, const Batch& r) const {
+        const BumpPlane bumps = std::bit_cast<BumpPlane>(*p.cover);
+        const Vec inverse = perApproach(p, r);
+        const float rise = riseAt(p, r), perStep = p.g.residual[p.i] / BumpPlane::kSteps;
+        constexpr float kSide = BumpPlane::kSide;
+        const float u0 = r.startU - std::floor(p.g.u[p.i] / kSide) * kSide;
+        const float v0 = r.startV - std::floor(p.g.v[p.i] / kSide) * kSide;
+        const Vec none = hn::Zero(kF), one = hn::Set(kF, 1.0f);
+        auto hit = hn::Gt(none, one);
+        for (int t = 0; t < BumpPlane::kSide * BumpPlane::kSide; ++t) {
+            if (bumps.offset[t] == BumpPlane::kNone) continue;
+            const float above = rise + perStep * float(bumps.offset[t]);
+            const Vec s = hn::Mul(hn::Set(kF, above), inverse);
+            const Vec u =
+                hn::MulAdd(r.du, s, hn::Set(kF, u0 - float(t % BumpPlane::kSide)));
+            const Vec v =
+                hn::MulAdd(r.dv, s, hn::Set(kF, v0 - float(t / BumpPlane::kSide)));
+            auto inside = hn::And(hn::Gt(s, r.begin), hn::Le(s, one));
+            inside = hn::And(inside, hn::And(hn::Ge(u, none), hn::Lt(u, one)));
+            inside = hn::And(inside, hn::And(hn::Ge(v, none), hn::Lt(v, one)));
+            hit = hn::Or(hit, inside);
+        }
+        return bitsOf(hit) & r.open;
     }
 
     static VecI rowsAt(const CoverPlane& cover, VecI y) {
