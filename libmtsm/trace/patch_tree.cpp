@@ -6,6 +6,7 @@
 #include <bit>
 #include <cmath>
 #include <map>
+#include <new>
 
 #include "base/lazy.h"
 #include "base/parallel.h"
@@ -23,6 +24,9 @@ constexpr std::array kTolerances = {1.0f, 4.0f};
 /// PatchTree::Options::flatness of the trees of queries: what is close to receivers must
 /// be more exact if no near field answers for it (tests/bench/NOTES.md).
 constexpr float kFlatAlone = 0.3f, kFlatBesideNearField = 3.0f;
+
+/// Groups and covers of a tree have numbers of 32 bits; entries of levels still join.
+constexpr std::size_t kMostIds = std::size_t(1) << 31;
 
 /// Sums over samples, enough to fit a plane to them.
 struct Moments {
@@ -754,6 +758,9 @@ class PatchBuilder {
         for (Made& m : made) {
             const auto group = std::uint32_t(tree_.groups_.size());
             const auto cover = std::uint32_t(tree_.covers_.size());
+            if (tree_.groups_.size() + m.groups.size() > kMostIds ||
+                tree_.covers_.size() + m.covers.size() > kMostIds)
+                throw std::bad_alloc();
             for (Node& n : m.nodes) {
                 n.cover += cover;
                 if (n.childGroups > 0) n.children += group;
@@ -803,15 +810,21 @@ PatchTree PatchTree::build(const ShadowMap& map, std::uint32_t face,
     return PatchBuilder(map, face, options).run();
 }
 
-const std::vector<PatchTree>& patchTrees(const ShadowMap& map) {
-    return map.queryData().get<std::vector<PatchTree>>([&] {
-        std::vector<PatchTree> trees;
-        for (std::uint32_t face = 0; face < map.faceCount(); ++face)
-            trees.push_back(PatchTree::build(
-                map, face,
-                {map.nearField(face).empty() ? kFlatAlone : kFlatBesideNearField}));
+const std::vector<PatchTree>* patchTrees(const ShadowMap& map) {
+    using Kept = std::vector<PatchTree>;
+    const Kept& kept = map.queryData().get<Kept>([&] {
+        Kept trees;
+        try {
+            for (std::uint32_t face = 0; face < map.faceCount(); ++face)
+                trees.push_back(PatchTree::build(
+                    map, face,
+                    {map.nearField(face).empty() ? kFlatAlone : kFlatBesideNearField}));
+        } catch (const std::bad_alloc&) {
+            trees = {};
+        }
         return trees;
     });
+    return kept.empty() ? nullptr : &kept;
 }
 
 std::uint64_t PatchTree::memoryBytes() const noexcept {

@@ -66,7 +66,8 @@ class PatchTree {
         /// pixel footprints.
         float flatness = 0.3f;
     };
-    /// The tree of an opaque map's face; the same for any number of threads.
+    /// The tree of an opaque map's face; the same for any number of threads. Throws
+    /// std::bad_alloc, also where groups or covers are more than 32 bits count.
     [[nodiscard]] static PatchTree build(const ShadowMap& map, std::uint32_t face,
                                          const Options& options);
 
@@ -102,7 +103,8 @@ class PatchTree {
     std::size_t patchCount_ = 0;
 };
 
-/// The trees of an opaque map's faces, made when first asked for.
-[[nodiscard]] const std::vector<PatchTree>& patchTrees(const ShadowMap& map);
+/// The trees of an opaque map's faces, made when first asked for; null if there is no
+/// memory for them, for good.
+[[nodiscard]] const std::vector<PatchTree>* patchTrees(const ShadowMap& map);
 
 }  // namespace mtsm::trace
