@@ -33,8 +33,9 @@ struct HairLayout {
     }
 };
 
-/// The words of a chunk's segments in their order: how far the first end is from that of
-/// the segment before, the second from the first, and the opacity.
+/// Goes through the ends of a chunk's segments along an axis: word(end, axis, segment,
+/// from) returns the end's number, which is stored as its way from `from`: of the first
+/// end that of the segment before, of the second that of the first.
 template <typename Word>
 void eachWord(std::size_t axis, const Word& word) {
     std::uint16_t before = 0;

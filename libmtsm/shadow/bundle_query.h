@@ -1,17 +1,27 @@
 // bundle_query.h - shadow factors of many points at once: neighbours share the way of
 // their rays through a map's trees.
 //
+// Six faces. Most points have all of their rays in the face that they belong to, until
+// these are nearer to the light than any caster. Of the others the rays are followed
+// through every face that they may meet something in. Surfaces of a face lie in its
+// window, so rays need not be cut where they leave it: what is met twice at a border is
+// blocked once. What lets light through is paid for each time: there a ray is cut into
+// the parts of the definition (trace/traverse.h), by the same numbers in both faces.
+//
 // A point's answer does not depend on which others are asked with it.
 #pragma once
 #include <glm/mat3x3.hpp>
 #include <glm/vec3.hpp>
 #include <optional>
+#include <vector>
 
 #include "light/sample.h"
 #include "mtsm/map.h"
 #include "mtsm/shadow.h"
+#include "shadow/light_outline.h"
 #include "shadow/light_rays.h"
 #include "shadow/query.h"
+#include "shadow/receiver_places.h"
 #include "trace/density_trace.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
@@ -20,23 +30,33 @@ namespace mtsm::shadow {
 
 class BundleQuery {
   public:
-    /// Can it answer such queries at all?
-    [[nodiscard]] static bool serves(const ShadowMap& map,
-                                     const ShadowOptions& options) noexcept;
+    /// Can it answer such queries at all? Makes the map's trees.
+    [[nodiscard]] static bool serves(const ShadowMap& map, const AreaLight& light,
+                                     const ShadowOptions& options);
 
-    struct Receiver {
-        glm::dvec3 point{0.0};
-        /// Any length; zero: none, for all of a call or none.
-        glm::dvec3 normal{0.0};
-    };
     /// `only`: nothing else will be asked for.
     BundleQuery(const ShadowMap& map, const AreaLight& light,
                 const ShadowOptions& options, const Receiver* only = nullptr);
 
-    /// A number below 2^30 that is close for points whose rays take much the same way;
-    /// nothing for points that it cannot answer: far outside the view, rays in float are
-    /// too coarse. The point must be finite and not behind the light.
-    [[nodiscard]] std::optional<std::uint32_t> placeOf(glm::dvec3 point) const noexcept;
+    /// Of 1 to ReceiverPlaces::kAtOnce points numbers as ReceiverPlaces has them.
+    void findPlaces(const glm::dvec3* points, int count,
+                    std::uint32_t* places) const noexcept;
+    /// Bits of a place that those of one call of glance() or look() must have in common.
+    [[nodiscard]] std::uint32_t together() const noexcept {
+        return faces_.size() > 1 ? kFaceBits : 0u;
+    }
+    /// The face that a point belongs to.
+    [[nodiscard]] std::uint32_t faceOf(glm::dvec3 point) const noexcept {
+        return faces_.size() > 1 ? trace::faceOf(map_, point) : 0u;
+    }
+
+    /// What can be told of receivers without their rays.
+    enum class Glance : std::uint8_t { unknown, lit, dark };
+    static constexpr int kMostGlances = 256;
+    /// Of 1 to kMostGlances receivers, better if they are neighbours; counts the rays
+    /// that they would take. What it tells is what the rays would.
+    void glance(const Receiver* receivers, int count, Glance* told,
+                QueryStats& stats) const noexcept;
 
     /// What is known of a receiver.
     struct Sums {
@@ -47,7 +67,7 @@ class BundleQuery {
     };
     /// Of all rays: the first part, and the others if that is not enough.
     enum class Part { all, probe, others };
-    /// Adds what some rays of 1 to 16 receivers see; counts rays.
+    /// Adds what some rays of 1 to 16 receivers of one face see; counts rays.
     void look(const Receiver* receivers, int count, Part part, Sums* sums,
               QueryStats& stats) const noexcept;
     /// Are all rays needed that the probe has not yet followed?
@@ -58,41 +78,77 @@ class BundleQuery {
     [[nodiscard]] glm::vec3 factorsOf(const Sums& sums, bool probed) const noexcept;
 
   private:
-    [[nodiscard]] std::uint32_t keyOf(const Receiver& receiver) const noexcept;
-    [[nodiscard]] glm::dvec3 turned(glm::dvec3 direction) const noexcept {
-        return turn_ * direction;
-    }
-    void setLane(const Receiver& receiver, int lane, ReceiverLanes& lanes) const noexcept;
+    static constexpr std::uint32_t kFaceBits = 15u << 26;  // and if others are met
 
-    void follow(trace::RayBundle& bundle, const RayFates& fates,
-                const std::uint16_t* valid, bool weights, Sums* sums) const noexcept;
-    void followSheets(trace::RayBundle& bundle, const RayFates& fates,
-                      const std::uint16_t* valid, bool weights,
-                      Sums* sums) const noexcept;
-    void traceNear(trace::RayBundle& bundle, const RayFates& fates) const noexcept;
-    void followMedia(trace::RayBundle& bundle, trace::RayDepths& depths) const noexcept;
-    void traceSheets(trace::RayBundle& bundle, const RayFates& fates,
-                     float (*visible)[trace::kLanes]) const noexcept;
+    /// A face as the rays of the light go through it.
+    struct Face {
+        Face(const ShadowMap& map, std::uint32_t number, ZRange depths,
+             const light::LightSampler& light);
+
+        const Projection& projection;
+        glm::dmat3 turn;  ///< world to light space
+        ZRange depths;    ///< that rays are followed to
+        ReceiverPlaces places;
+        LightOutline outline;
+        float nearHeight;  ///< RayBundle's measure of a plane's height
+        const NearField& nearField;
+        const NearHair& nearHair;
+        const NearSheets& nearSheets;
+        /// Is all that is close to receivers in them? Strands of several faces are not
+        /// asked for.
+        bool near;
+        const trace::PatchTree* patches = nullptr;    ///< of an opaque map
+        const trace::DensityTree* density = nullptr;  ///< of any other
+        std::optional<LightRays> withNormals, without;
+        /// Axes of the light in light space, if they are the same for all points.
+        glm::dvec3 centre{0.0}, axisX, axisY, axisZ, base;
+        // Of several:
+        bool empty;
+        double nearest;                      ///< depth in front of which there is nothing
+        double lightLow = 0, lightHigh = 0;  ///< depths of the light
+    };
+    /// Rays on their way: those of one face as a bundle, and what becomes of them.
+    struct Rays {
+        trace::RayBundle bundle;
+        RayFates fates;
+        /// [row]: rays whose depths count.
+        std::uint16_t followed[trace::kMostRows];
+        trace::RayDepths depths;
+    };
+
+    void findLit(const Face& face, Outlook* outlooks, int count,
+                 Glance* told) const noexcept;
+    [[nodiscard]] bool isFree(const Face& face, const Outlook& starts) const noexcept;
+    void addRays(Face& face, bool normals, std::optional<std::uint32_t> onlyKey);
+    [[nodiscard]] std::uint32_t keyOf(const Receiver& receiver) const noexcept;
+    [[nodiscard]] std::uint32_t facesMet(std::uint32_t home,
+                                         glm::dvec3 point) const noexcept;
+    [[nodiscard]] ReceiverLanes lanesOf(const Face& face, const Receiver* receivers,
+                                        int count) const noexcept;
+    void setLane(const Face& face, const Receiver& receiver, int lane,
+                 ReceiverLanes& lanes) const noexcept;
+
+    void followBeyond(std::uint32_t home, const Receiver* receivers, int count,
+                      const std::uint32_t* met, int firstGroup,
+                      Rays& rays) const noexcept;
+    void cut(std::uint32_t home, std::uint32_t number, const Receiver& receiver,
+             const RayFates& homeFates, int homeRow, int row, Rays& rays) const noexcept;
+    void follow(const Face& face, Rays& rays) const noexcept;
+    [[nodiscard]] trace::DensityTraceOptions densityOptions() const noexcept;
+    void traceNear(const Face& face, Rays& rays) const noexcept;
+    void traceSheets(const Face& face, Rays& rays) const noexcept;
+    void addUp(const Rays& rays, const std::uint16_t* valid, bool weights,
+               Sums* sums) const noexcept;
 
     const ShadowMap& map_;
-    const Projection& projection_;
-    glm::dmat3 turn_;      // world to light space
-    glm::vec3 perWindow_;  // placeOf: one over the window's sides and its depth
     light::LightSampler light_;
     ShadowOptions options_;
     trace::ZBias bias_;
-    const NearSheets* sheets_;           // or null
-    const trace::PatchTree* patches_;    // of an opaque map
-    const trace::DensityTree* density_;  // of any other
-    bool media_;
-    bool near_;  // has the map a near field?
+    bool opaque_, media_;
     std::uint32_t samples_;
-    std::optional<LightRays> withNormals_, without_;
-    // Axes of the light in light space, if they are the same for all points.
-    bool fixedAxes_;
-    glm::dvec3 centre_, axisX_, axisY_, axisZ_, base_;
+    bool fixedAxes_;  // are the light's axes the same for all points?
     double capHeight_;
-    float nearHeight_;  // RayBundle's measure of a plane's height
+    std::vector<Face> faces_;
 };
 
 }  // namespace mtsm::shadow

@@ -13,19 +13,19 @@ namespace mtsm::shadow {
 class ReceiverOrder {
   public:
     /// `normals` may be null. At most 2^32 points.
-    ReceiverOrder(const Query& query, const BundleQuery& bundles,
-                  const glm::dvec3* points, const glm::dvec3* normals, std::size_t count);
+    ReceiverOrder(const BundleQuery& bundles, const glm::dvec3* points,
+                  const glm::dvec3* normals, std::size_t count);
 
     /// The point that comes as number i.
     [[nodiscard]] std::size_t operator[](std::size_t i) const noexcept {
         return sorted_[i].point;
     }
-    /// Points that go together, from number `first` on and before `end`.
-    struct Group {
+    /// Points of one kind and face, from number `first` on and before `end`.
+    struct Block {
         std::size_t count = 0;
         bool bundled = false;  ///< else each goes alone, by ray
     };
-    [[nodiscard]] Group group(std::size_t first, std::size_t end) const noexcept;
+    [[nodiscard]] Block block(std::size_t first, std::size_t end) const noexcept;
 
   private:
     enum class Kind : std::uint32_t { withNormal = 0, without = 1, alone = 2 };
@@ -34,6 +34,7 @@ class ReceiverOrder {
         [[nodiscard]] Kind kind() const noexcept { return Kind(key >> 30); }
     };
     std::vector<Entry> sorted_;
+    std::uint32_t together_;  // bits of a key that those of a block have in common
 };
 
 }  // namespace mtsm::shadow

@@ -3,14 +3,16 @@
 
 #include <algorithm>
 #include <cmath>
-#include <glm/geometric.hpp>
 #include <mutex>
+#include <new>
+#include <vector>
 
 #include "base/finite.h"
 #include "base/message.h"
 #include "base/parallel.h"
 #include "shadow/bundle_query.h"
 #include "shadow/query.h"
+#include "shadow/ray_query.h"
 #include "shadow/receiver_order.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
@@ -55,16 +57,18 @@ class Groups {
         : bundles_(bundles), stats_(stats), take_(take) {}
 
     /// Up to 16 of them: all with normals, or none.
-    void add(const shadow::BundleQuery::Receiver* receivers, const std::size_t* points,
+    void add(const shadow::Receiver* receivers, const std::size_t* points,
              std::size_t count) {
         using Part = shadow::BundleQuery::Part;
         shadow::BundleQuery::Sums sums[trace::kMostReceivers];
         const bool probes = bundles_.probes();
         bundles_.look(receivers, int(count), probes ? Part::probe : Part::all, sums,
                       stats_);
-        // Those that wait have normals as well, or none has.
-        if (waiting_ > 0 && shadow::saysSomething(receivers[0].normal) !=
-                                shadow::saysSomething(receivers_[0].normal))
+        // Those that wait have normals as well, or none has; and are of the same face.
+        if (waiting_ > 0 &&
+            (shadow::saysSomething(receivers[0].normal) !=
+                 shadow::saysSomething(receivers_[0].normal) ||
+             bundles_.faceOf(receivers[0].point) != bundles_.faceOf(receivers_[0].point)))
             finish();
         for (std::size_t k = 0; k < count; ++k) {
             if (!probes || !shadow::BundleQuery::isMixed(sums[k])) {
@@ -92,7 +96,7 @@ class Groups {
     const shadow::BundleQuery& bundles_;
     QueryStats& stats_;
     const Take& take_;
-    shadow::BundleQuery::Receiver receivers_[trace::kMostReceivers];
+    shadow::Receiver receivers_[trace::kMostReceivers];
     std::size_t points_[trace::kMostReceivers];
     shadow::BundleQuery::Sums sums_[trace::kMostReceivers];
     std::size_t waiting_ = 0;
@@ -103,27 +107,49 @@ template <typename Take>
 void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles,
                   const glm::dvec3* points, const glm::dvec3* normals, std::size_t count,
                   QueryStats& stats, const Take& take) {
-    const shadow::ReceiverOrder order(query, bundles, points, normals, count);
+    const shadow::ReceiverOrder order(bundles, points, normals, count);
     std::mutex mutex;
     const auto answer = [&](std::size_t begin, std::size_t end) {
+        using Glance = shadow::BundleQuery::Glance;
+        constexpr int kMost = shadow::BundleQuery::kMostGlances;
         QueryStats part;
         Groups groups(bundles, part, take);
+        shadow::Receiver receivers[kMost];
+        std::size_t indices[kMost];
+        Glance told[kMost];
         for (std::size_t first = begin; first < end;) {
-            const shadow::ReceiverOrder::Group group = order.group(first, end);
-            shadow::BundleQuery::Receiver receivers[trace::kMostReceivers];
-            std::size_t indices[trace::kMostReceivers];
-            for (std::size_t k = 0; k < group.count; ++k) {
+            const shadow::ReceiverOrder::Block block =
+                order.block(first, std::min(end, first + kMost));
+            for (std::size_t k = 0; k < block.count; ++k) {
                 const std::size_t i = indices[k] = order[first + k];
                 receivers[k].point = points[i];
-                if (normals && shadow::saysSomething(normals[i]))
-                    receivers[k].normal = normals[i];
-                if (group.bundled)
-                    query.count(points[i], part);
-                else
-                    take(i, query.shadowFactor(points[i], receivers[k].normal, part));
+                receivers[k].normal = normals && shadow::saysSomething(normals[i])
+                                          ? normals[i]
+                                          : glm::dvec3(0.0);
             }
-            if (group.bundled) groups.add(receivers, indices, group.count);
-            first += group.count;
+            first += block.count;
+            if (!block.bundled) {
+                for (std::size_t k = 0; k < block.count; ++k)
+                    take(indices[k], query.shadowFactor(receivers[k].point,
+                                                        receivers[k].normal, part));
+                continue;
+            }
+            for (std::size_t k = 0; k < block.count; ++k)
+                query.count(receivers[k].point, part);
+            bundles.glance(receivers, int(block.count), told, part);
+            // The others close ranks.
+            std::size_t left = 0;
+            for (std::size_t k = 0; k < block.count; ++k) {
+                if (told[k] != Glance::unknown) {
+                    take(indices[k], glm::vec3(told[k] == Glance::lit ? 0.0f : 1.0f));
+                    continue;
+                }
+                receivers[left] = receivers[k];
+                indices[left++] = indices[k];
+            }
+            for (std::size_t k = 0; k < left; k += trace::kMostReceivers)
+                groups.add(receivers + k, indices + k,
+                           std::min(left - k, std::size_t(trace::kMostReceivers)));
         }
         groups.finish();
         const std::lock_guard lock(mutex);
@@ -132,48 +158,101 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
     base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
 }
 
+/// Many points at once.
+template <typename Take>
+void answerBundles(const shadow::Query& query, const ShadowMap& map,
+                   const AreaLight& light, const glm::dvec3* points,
+                   const glm::dvec3* normals, std::size_t count,
+                   const ShadowOptions& options, QueryStats& stats, const Take& take) {
+    // What a point that is not finite is asked with does not matter.
+    const shadow::Receiver only{
+        points[0], normals ? shadow::unitNormal(normals[0]) : glm::dvec3(0.0)};
+    const shadow::BundleQuery bundles(map, light, options, count == 1 ? &only : nullptr);
+    // Orders count in 32 bits.
+    constexpr std::size_t kAtOnce = std::size_t(1) << 30;
+    for (std::size_t first = 0; first < count; first += kAtOnce) {
+        answerGroups(query, bundles, points + first, normals ? normals + first : nullptr,
+                     std::min(kAtOnce, count - first), stats,
+                     [&](std::size_t i, glm::vec3 factor) { take(first + i, factor); });
+    }
+}
+
 template <typename Take>
 void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
                const glm::dvec3* normals, std::size_t count, const ShadowOptions& options,
-               QueryStats* stats, const Take& take) {
+               QueryStats* stats, const Take& take) noexcept {
     if (count == 0) return;
     const shadow::Query query(map, light, options);
     QueryStats met;
-    if (shadow::BundleQuery::serves(map, options)) {
-        const shadow::BundleQuery::Receiver only{
-            points[0], normals ? shadow::unitNormal(normals[0]) : glm::dvec3(0.0)};
-        const shadow::BundleQuery bundles(map, light, options,
-                                          count == 1 ? &only : nullptr);
-        // Orders count in 32 bits.
-        constexpr std::size_t kAtOnce = std::size_t(1) << 30;
-        for (std::size_t first = 0; first < count; first += kAtOnce) {
-            answerGroups(
-                query, bundles, points + first, normals ? normals + first : nullptr,
-                std::min(kAtOnce, count - first), met,
-                [&](std::size_t i, glm::vec3 factor) { take(first + i, factor); });
-        }
-    } else {
-        answerEach(query, points, normals, count, met, take);
+    try {
+        if (shadow::BundleQuery::serves(map, light, options))
+            answerBundles(query, map, light, points, normals, count, options, met, take);
+        else
+            answerEach(query, points, normals, count, met, take);
+    } catch (const std::bad_alloc&) {
+        // By ray nothing is needed.
+        met = {};
+        for (std::size_t i = 0; i < count; ++i)
+            take(i, query.shadowFactor(points[i], normals ? normals[i] : glm::dvec3(0.0),
+                                       met));
     }
     if (stats) add(*stats, met);
+}
+
+/// Hands the visibilities of ray i to take(i, visibilities), for all rays.
+template <typename Take>
+void answerRays(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
+                const RayOptions& options, const Take& take) noexcept {
+    const auto byDefinition = [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i)
+            take(i, shadow::visibilityByDefinition(map, rays[i], options));
+    };
+    try {
+        if (!shadow::RayQuery::serves(map, options)) {
+            base::parallelRanges(std::size_t(0), count, kPointsPerTask, byDefinition);
+            return;
+        }
+        const shadow::RayQuery query(map, options);
+        const auto answer = [&](std::size_t begin, std::size_t end) {
+            glm::vec3 visible[shadow::RayQuery::kAtOnce];
+            query.look(rays + begin, end - begin, visible);
+            for (std::size_t i = begin; i < end; ++i)
+                take(i, visible[i - begin]);
+        };
+        if (count <= 1) return answer(0, count);
+        const std::vector<std::size_t> begin = shadow::RayQuery::beginnings(rays, count);
+        base::parallelFor(std::size_t(1), begin.size(),
+                          [&](std::size_t i) { answer(begin[i - 1], begin[i]); });
+    } catch (const std::bad_alloc&) {
+        byDefinition(0, count);
+    }
+}
+
+/// What queries of the map go through, made if need be.
+bool hasTrees(const ShadowMap& map) {
+    try {
+        return shadow::BundleQuery::serves(map, map.info().light, {});
+    } catch (const std::bad_alloc&) {
+        return false;
+    }
 }
 
 }  // namespace
 
 void prepareQueries(const ShadowMap& map) noexcept {
-    if (!shadow::BundleQuery::serves(map, {})) return;
-    if (map.isOpaque())
-        (void)trace::patchTrees(map);
-    else
-        (void)trace::densityTree(map);
+    (void)hasTrees(map);
 }
 
 std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept {
     std::uint64_t bytes = map.memoryBytes();
-    if (!shadow::BundleQuery::serves(map, {})) return bytes;
-    if (!map.isOpaque()) return bytes + trace::densityTree(map)->memoryBytes();
-    for (const trace::PatchTree& tree : trace::patchTrees(map))
-        bytes += tree.memoryBytes();
+    if (!hasTrees(map)) return bytes;
+    if (map.isOpaque()) {
+        for (const trace::PatchTree& tree : *trace::patchTrees(map))
+            bytes += tree.memoryBytes();
+    } else {
+        for (const trace::DensityTree& tree : *trace::densityTrees(map))
+            bytes += tree.memoryBytes();
+    }
     return bytes;
 }
 
@@ -223,19 +302,9 @@ void shadowFactors(const ShadowMap& map, const AreaLight& light, const glm::dvec
 
 glm::vec3 visibilityColor(const ShadowMap& map, const ShadowRay& ray,
                           const RayOptions& options) noexcept {
-    if (!base::isFinite(ray.origin) || !base::isFinite(ray.direction) ||
-        !(ray.length > 0.0))
-        return glm::vec3(1.0f);
-    trace::Ray traced;
-    traced.origin = ray.origin;
-    traced.delta = ray.direction;
-    traced.tEnd = ray.length;
-    trace::TraceOptions traceOptions;
-    traceOptions.bias = shadow::biasOf(map, options.bias);
-    traceOptions.threshold = shadow::thresholdOf(options.threshold);
-    traceOptions.attenuation = options.attenuation;
-    const trace::ChannelVisibility v = trace::traceRay(map, traced, traceOptions);
-    return {v[0], v[1], v[2]};
+    glm::vec3 visible;
+    visibilitiesColor(map, &ray, 1, &visible, options);
+    return visible;
 }
 
 float visibility(const ShadowMap& map, const ShadowRay& ray,
@@ -245,20 +314,15 @@ float visibility(const ShadowMap& map, const ShadowRay& ray,
 
 void visibilitiesColor(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
                        glm::vec3* out, const RayOptions& options) noexcept {
-    const auto answer = [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i)
-            out[i] = visibilityColor(map, rays[i], options);
-    };
-    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
+    answerRays(map, rays, count, options,
+               [&](std::size_t i, glm::vec3 v) { out[i] = v; });
 }
 
 void visibilities(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
                   float* out, const RayOptions& options) noexcept {
-    const auto answer = [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i)
-            out[i] = visibility(map, rays[i], options);
-    };
-    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
+    answerRays(map, rays, count, options, [&](std::size_t i, glm::vec3 v) {
+        out[i] = shadow::mean(v, map.info().channels);
+    });
 }
 
 }  // namespace mtsm

@@ -275,8 +275,7 @@ double hidden(const Hair& hair, const AreaLight& light, glm::dvec3 p) {
         const double y = (i / kSide + 0.5) / kSide * 2 - 1;
         if (x * x + y * y > 1.0) continue;
         // The light looks down.
-        const glm::dvec3 way =
-            light.position + light.radius * glm::dvec3(x, 0, y) - p;
+        const glm::dvec3 way = light.position + light.radius * glm::dvec3(x, 0, y) - p;
         double left = 1.0;
         for (std::size_t k = 0; k + 1 < hair.points.size(); k += 2) {
             const glm::dvec3 a = hair.points[k], b = hair.points[k + 1];
