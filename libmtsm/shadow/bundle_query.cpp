@@ -50,7 +50,7 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
     }
     setting.media = !map.isOpaque();
     setting.sheets = map.info().translucent == Translucent::sheets;
-    setting.probe = options.adaptive;
+    setting.steps = SampleSteps::of(options, setting.samples);
     // Sheets are met within two biases.
     ZRange depths = map.zRange(0);
     const trace::ZBias bias = biasOf(map, options.bias);
@@ -68,6 +68,15 @@ std::uint32_t spread(std::uint32_t x) {
     x = (x | x << 8) & 0x0300f00fu;
     x = (x | x << 4) & 0x030c30c3u;
     return (x | x << 2) & 0x09249249u;
+}
+
+/// Of rays in the order of their samples: which of those that there are see light.
+float spreadOf(std::uint32_t lit, std::uint32_t rays) {
+    constexpr std::uint32_t kFirst = (1u << kQuad) - 1;
+    float spread = 0.0f;
+    for (; rays; rays >>= kQuad, lit >>= kQuad)
+        spread += quadSpread(std::popcount(lit & kFirst), std::popcount(rays & kFirst));
+    return spread;
 }
 
 float sum(std::uint32_t rays, const float* weights) {
@@ -88,7 +97,7 @@ bool BundleQuery::serves(const ShadowMap& map, const ShadowOptions& options) noe
 }
 
 BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
-                         const ShadowOptions& options, const Receiver* only)
+                         const ShadowOptions& options, bool errors, const Receiver* only)
     : map_(map),
       projection_(map.projection(0)),
       light_(light),
@@ -99,7 +108,9 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
       media_(map.info().translucent == Translucent::media),
       samples_(light_.isPoint()
                    ? 1u
-                   : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples))) {
+                   : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples))),
+      steps_(SampleSteps::of(options, samples_)),
+      errors_(errors || options.targetError > 0.0f) {
     std::optional<std::uint32_t> key;
     if (only) key = keyOf(*only);
     if (!only || only->normal != glm::dvec3(0.0))
@@ -221,6 +232,11 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
                 weights ? sum(left, fates.weight[row]) : float(std::popcount(left));
             if (left) s.most = 1.0f;
             if (left != valid[row]) s.least = 0.0f;
+            if (errors_ && left) {
+                s.seen.sum += float(std::popcount(left));
+                s.seen.squares = s.seen.sum;
+                if (left != valid[row]) s.seen.spread += spreadOf(left, valid[row]);
+            }
         }
         return;
     }
@@ -237,6 +253,7 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
     trace::traceDensity(*density_, options, bundle, depths);
     for (int row = 0; row < rows; ++row) {
         Sums& s = sums[row / bundle.groups];
+        float means[trace::kLanes];  // of the channels
         for (std::uint32_t rest = valid[row]; rest; rest &= rest - 1) {
             const int i = std::countr_zero(rest);
             glm::vec3 v(fates.clear[row] >> i & 1 ? 1.0f : 0.0f);
@@ -250,29 +267,45 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
             s.visible += (weights ? fates.weight[row][i] : 1.0f) * v;
             s.least = std::min({s.least, v.x, v.y, v.z});
             s.most = std::max({s.most, v.x, v.y, v.z});
+            means[i] = mean(v, channels);
         }
+        if (!errors_) continue;
+        const int rays = std::popcount(valid[row]);
+        for (int i = 0; i < rays; ++i) {
+            s.seen.sum += means[i];
+            s.seen.squares += means[i] * means[i];
+        }
+        for (int i = 0; i < rays; i += kQuad)
+            s.seen.spread += quadSpread(means + i, std::min(kQuad, rays - i));
     }
 }
 
-bool BundleQuery::probes() const noexcept {
-    return options_.adaptive && samples_ > trace::kLanes;
-}
-
-bool BundleQuery::isMixed(const Sums& sums) noexcept {
+bool BundleQuery::isEnough(const Sums& sums, int step) const noexcept {
+    if (step + 1 == steps_.count) return true;
+    if (options_.targetError > 0.0f) return errorOf(sums, step) <= options_.targetError;
     constexpr float kSame = 1.0f / 64;
-    return sums.most - sums.least > kSame;
+    return sums.most - sums.least <= kSame;
 }
 
-glm::vec3 BundleQuery::factorsOf(const Sums& sums, bool probed) const noexcept {
+/// The mean visibilities.
+glm::vec3 BundleQuery::visibleOf(const Sums& sums, int step) const noexcept {
     const bool weights = options_.weight == Weight::cosine && sums.total >= 0.0f;
-    const float total =
-        weights ? sums.total : float(probed ? std::uint32_t(trace::kLanes) : samples_);
+    const float total = weights ? sums.total : float(steps_.end[step]);
     // All weights may vanish in the distance; below the horizon all is dark.
-    if (!(total > 0.0f)) return glm::vec3(sums.above ? 0.0f : 1.0f);
-    return glm::clamp(1.0f - sums.visible / total, 0.0f, 1.0f);
+    if (!(total > 0.0f)) return glm::vec3(sums.above ? 1.0f : 0.0f);
+    return glm::clamp(sums.visible / total, 0.0f, 1.0f);
 }
 
-void BundleQuery::look(const Receiver* receivers, int count, Part part, Sums* sums,
+float BundleQuery::errorOf(const Sums& sums, int step) const noexcept {
+    if (light_.isPoint()) return 0.0f;
+    return sampleError(sums.seen, steps_.first(step), steps_.end[step]);
+}
+
+Answer BundleQuery::answerOf(const Sums& sums, int step) const noexcept {
+    return {1.0f - visibleOf(sums, step), errors_ ? errorOf(sums, step) : 0.0f};
+}
+
+void BundleQuery::look(const Receiver* receivers, int count, int step, Sums* sums,
                        QueryStats& stats) const noexcept {
     const bool normals = receivers[0].normal != glm::dvec3(0.0);
     const bool weights = normals && options_.weight == Weight::cosine;
@@ -286,8 +319,13 @@ void BundleQuery::look(const Receiver* receivers, int count, Part part, Sums* su
     RayFates fates;
     std::uint16_t valid[trace::kMostRows];
     const int atOnce = trace::kMostRows / count;
-    const int end = part == Part::probe ? 1 : rays.groups();
-    for (int first = part == Part::others ? 1 : 0; first < end; first += atOnce) {
+    for (int i = 0; i < count; ++i)
+        sums[i].seen.spread = 0.0f;
+    const auto groups = [](std::uint32_t samples) {
+        return int((samples + trace::kLanes - 1) / trace::kLanes);
+    };
+    const int end = groups(steps_.end[step]);
+    for (int first = groups(steps_.first(step)); first < end; first += atOnce) {
         rays.fill(lanes, first, std::min(atOnce, end - first), bundle, fates);
         for (int row = 0; row < bundle.receivers * bundle.groups; ++row) {
             const int left =

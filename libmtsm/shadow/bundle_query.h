@@ -12,6 +12,7 @@
 #include "mtsm/shadow.h"
 #include "shadow/light_rays.h"
 #include "shadow/query.h"
+#include "shadow/sample_error.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
 
@@ -29,8 +30,10 @@ class BundleQuery {
         glm::dvec3 normal{0.0};
     };
     /// `only`: nothing else will be asked for.
+    /// `errors`: answers come with their expected error.
     BundleQuery(const ShadowMap& map, const AreaLight& light,
-                const ShadowOptions& options, const Receiver* only = nullptr);
+                const ShadowOptions& options, bool errors,
+                const Receiver* only = nullptr);
 
     /// A number below 2^30 that is close for points whose rays take much the same way;
     /// nothing for points that it cannot answer: far outside the view, rays in float are
@@ -43,18 +46,17 @@ class BundleQuery {
         float total = 0.0f;               ///< of the weights
         float least = 1.0f, most = 0.0f;  ///< visibilities of its rays
         bool above = false;               ///< has it rays above its horizon?
+        Seen seen;                        ///< if errors matter
     };
-    /// Of all rays: the first part, and the others if that is not enough.
-    enum class Part { all, probe, others };
-    /// Adds what some rays of 1 to 16 receivers see; counts rays.
-    void look(const Receiver* receivers, int count, Part part, Sums* sums,
+    /// Steps in which a query takes its rays.
+    [[nodiscard]] int steps() const noexcept { return steps_.count; }
+    /// Adds what the rays of a step see of 1 to 16 receivers; counts rays.
+    void look(const Receiver* receivers, int count, int step, Sums* sums,
               QueryStats& stats) const noexcept;
-    /// Are all rays needed that the probe has not yet followed?
-    [[nodiscard]] static bool isMixed(const Sums& sums) noexcept;
-    /// Has a query two parts?
-    [[nodiscard]] bool probes() const noexcept;
-    /// The shadow factors; `probed`: of the first part alone.
-    [[nodiscard]] glm::vec3 factorsOf(const Sums& sums, bool probed) const noexcept;
+    /// Does a receiver need no further step?
+    [[nodiscard]] bool isEnough(const Sums& sums, int step) const noexcept;
+    /// The shadow factors, and their expected error if it was asked for.
+    [[nodiscard]] Answer answerOf(const Sums& sums, int step) const noexcept;
 
   private:
     [[nodiscard]] std::uint32_t keyOf(const Receiver& receiver) const noexcept;
@@ -65,6 +67,8 @@ class BundleQuery {
 
     void follow(trace::RayBundle& bundle, const RayFates& fates,
                 const std::uint16_t* valid, bool weights, Sums* sums) const noexcept;
+    [[nodiscard]] glm::vec3 visibleOf(const Sums& sums, int step) const noexcept;
+    [[nodiscard]] float errorOf(const Sums& sums, int step) const noexcept;
     void traceNear(trace::RayBundle& bundle, const RayFates& fates) const noexcept;
 
     const ShadowMap& map_;
@@ -78,6 +82,8 @@ class BundleQuery {
     const trace::DensityTree* density_;  // of any other
     bool media_;
     std::uint32_t samples_;
+    SampleSteps steps_;
+    bool errors_;  // do they matter?
     std::optional<LightRays> withNormals_, without_;
     // Axes of the light in light space, if they are the same for all points.
     bool fixedAxes_;

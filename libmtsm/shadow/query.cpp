@@ -7,6 +7,7 @@
 
 #include "base/finite.h"
 #include "shadow/query.h"
+#include "shadow/sample_error.h"
 
 namespace mtsm::shadow {
 
@@ -19,24 +20,25 @@ double thresholdOf(float asked) noexcept {
     return asked >= 0.0f ? std::min(asked, std::nextafter(1.0f, 0.0f)) : 0.0;
 }
 
-Query::Query(const ShadowMap& map, const AreaLight& light,
-             const ShadowOptions& options) noexcept
+Query::Query(const ShadowMap& map, const AreaLight& light, const ShadowOptions& options,
+             bool errors) noexcept
     : map_(map),
       light_(light),
       options_(options),
       bias_(biasOf(map, options.bias)),
-      media_(map.info().translucent == Translucent::media) {
+      media_(map.info().translucent == Translucent::media),
+      errors_(errors) {
     samples_ = light_.isPoint()
                    ? 1u
                    : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
 }
 
-glm::vec3 Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
-                              QueryStats& stats) const noexcept {
+Answer Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
+                           QueryStats& stats) const noexcept {
     if (!isShadowed(point)) {
         ++stats.points;
         ++(base::isFinite(point) ? stats.behindLight : stats.notFinite);
-        return glm::vec3(0.0f);
+        return {};
     }
     count(point, stats);
     return blocked(receiverAt(point, normal), base::pointKey(point, options_.seed),
@@ -71,8 +73,9 @@ Query::Receiver Query::receiverAt(glm::dvec3 point, glm::dvec3 normal) const noe
 }
 
 /// One minus the weighted mean of the visibility over the light.
-glm::vec3 Query::blocked(const Receiver& receiver, std::uint64_t key,
-                         QueryStats& stats) const noexcept {
+Answer Query::blocked(const Receiver& receiver, std::uint64_t key,
+                      QueryStats& stats) const noexcept {
+    std::pair<std::uint32_t, float> seen[kMaxSamples];  // if errors matter
     const base::SquareSequence sequence(key);
     const bool cosine = options_.weight == Weight::cosine && receiver.hasNormal;
     glm::dvec3 visible(0.0);
@@ -80,6 +83,7 @@ glm::vec3 Query::blocked(const Receiver& receiver, std::uint64_t key,
     bool above = false;
     for (std::uint32_t i = 0; i < samples_; ++i) {
         const glm::dvec2 u = light_.isPoint() ? glm::dvec2(0.5) : sequence(i);
+        if (errors_) seen[i] = {placeOfSample(u), 0.0f};
         const light::LightSample sample = light_.sample(receiver.point, u);
         const double towards =
             receiver.hasNormal ? glm::dot(sample.delta, receiver.plane.normal) : 1.0;
@@ -97,10 +101,31 @@ glm::vec3 Query::blocked(const Receiver& receiver, std::uint64_t key,
                                                ? filtered(receiver, sample)
                                                : traced(receiver, sample);
         visible += weight * glm::dvec3(v[0], v[1], v[2]);
+        if (errors_) seen[i].second = mean(v, map_.info().channels);
     }
     // All weights may vanish in the distance; below the horizon all is dark.
-    if (!(total > 0.0)) return glm::vec3(above ? 0.0f : 1.0f);
-    return glm::vec3(glm::clamp(1.0 - visible / total, 0.0, 1.0));
+    if (!(total > 0.0)) return {glm::vec3(above ? 0.0f : 1.0f)};
+    Answer answer{glm::vec3(glm::clamp(1.0 - visible / total, 0.0, 1.0))};
+    if (errors_) answer.error = errorOf(seen);
+    return answer;
+}
+
+/// `seen`: visibilities by the places of their samples; gets sorted.
+float Query::errorOf(std::pair<std::uint32_t, float>* seen) const noexcept {
+    if (light_.isPoint()) return 0.0f;
+    std::sort(seen, seen + samples_);
+    Seen sums;
+    for (std::uint32_t first = 0; first < samples_; first += kQuad) {
+        const int count = std::min(kQuad, int(samples_ - first));
+        float quad[kQuad] = {};
+        for (int i = 0; i < count; ++i) {
+            const float v = quad[i] = seen[first + std::uint32_t(i)].second;
+            sums.sum += v;
+            sums.squares += v * v;
+        }
+        sums.spread += quadSpread(quad, count);
+    }
+    return sampleError(sums, 0, samples_);
 }
 
 trace::ChannelVisibility Query::traced(const Receiver& receiver,
