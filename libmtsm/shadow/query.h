@@ -1,13 +1,13 @@
 // query.h - one shading point made ready for its rays.
 #pragma once
 #include <glm/vec3.hpp>
-#include <utility>
 
 #include "base/finite.h"
 #include "base/sampling.h"
 #include "light/sample.h"
 #include "mtsm/map.h"
 #include "mtsm/shadow.h"
+#include "shadow/sample_error.h"
 #include "trace/traverse.h"
 
 namespace mtsm::shadow {
@@ -73,7 +73,12 @@ class Query {
     [[nodiscard]] Receiver receiverAt(glm::dvec3 point, glm::dvec3 normal) const noexcept;
     [[nodiscard]] Answer blocked(const Receiver& receiver, std::uint64_t key,
                                  QueryStats& stats) const noexcept;
-    [[nodiscard]] float errorOf(std::pair<std::uint32_t, float>* seen) const noexcept;
+    /// By the place of its sample.
+    struct SeenSample {
+        std::uint32_t place;
+        float visibility;
+    };
+    [[nodiscard]] float errorOf(SeenSample* seen, std::uint32_t samples) const noexcept;
     [[nodiscard]] trace::ChannelVisibility traced(
         const Receiver& receiver, const light::LightSample& sample) const noexcept;
     [[nodiscard]] trace::ChannelVisibility filtered(
@@ -92,7 +97,7 @@ class Query {
     trace::ZBias bias_;
     bool media_;   // does the map hold media?
     bool errors_;  // do answers have them?
-    std::uint32_t samples_ = 1;
+    SampleSteps steps_;
 };
 
 /// Is it finite and not zero?

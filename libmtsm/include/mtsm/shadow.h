@@ -84,7 +84,8 @@ struct ShadowOptions {
     bool adaptive = false;
     /// Above 0: a point takes samples, four times as many each time, until their expected
     /// error is no larger than this, or until it has taken `samples`. Only of
-    /// ShadowMethod::trace; optionsFor() finds a value for a mean over many points.
+    /// ShadowMethod::trace; planQueries() (mtsm/quality.h) finds a value for a mean over
+    /// many points.
     float targetError = 0.0f;
     int firstSamples = 16;  ///< of those two: that every point takes, in groups of 16
 };
