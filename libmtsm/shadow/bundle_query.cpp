@@ -14,10 +14,6 @@
 namespace mtsm::shadow {
 namespace {
 
-/// Points whose raster position is further from the window than this many times its size
-/// are left to the scalar trace.
-constexpr float kFarthestOutside = 8.0f;
-
 /// Trees count in 32 bits.
 constexpr std::uint64_t kMostLayers = std::uint64_t(1) << 28;
 
@@ -62,14 +58,6 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
                      light, setting);
 }
 
-/// Spreads the lowest 10 bits, two zeros between each.
-std::uint32_t spread(std::uint32_t x) {
-    x = (x | x << 16) & 0x030000ffu;
-    x = (x | x << 8) & 0x0300f00fu;
-    x = (x | x << 4) & 0x030c30c3u;
-    return (x | x << 2) & 0x09249249u;
-}
-
 /// Of rays in the order of their samples: which of those that there are see light.
 float spreadOf(std::uint32_t lit, std::uint32_t rays) {
     constexpr std::uint32_t kFirst = (1u << kQuad) - 1;
@@ -101,6 +89,8 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
     : map_(map),
       projection_(map.projection(0)),
       light_(light),
+      outline_(projection_, light_),
+      places_(map, light_),
       options_(options),
       bias_(biasOf(map, options.bias)),
       patches_(map.isOpaque() ? &trace::patchTrees(map)[0] : nullptr),
@@ -122,45 +112,11 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
     turn_ = glm::transpose(
         glm::dmat3(projection_.right, projection_.up, projection_.forward));
     const auto turn = [&](glm::dvec3 d) { return turned(d); };
-    const double width = map.info().width, height = map.info().height;
-    perWindow_ = {1.0 / width, 1.0 / height,
-                  1.0 / (projection_.pixelFootprint(1.0) * std::max(width, height))};
     axisX_ = turn(seen.x), axisY_ = turn(seen.y), axisZ_ = turn(seen.z);
     base_ = turn(seen.base);
     capHeight_ = seen.capHeight;
     nearHeight_ = float(kNearHeight * projection_.pixelFootprint(1.0));
     if (!seen.endless) centre_ = projection_.lightFromWorld(light_.centre());
-}
-
-std::optional<std::uint32_t> BundleQuery::placeOf(glm::dvec3 point) const noexcept {
-    const glm::dvec3 p = turned(point - projection_.eye);
-    const ZRange range = map_.zRange(0);
-    const bool perspective = projection_.kind == ProjectionKind::perspective;
-    // In floats a ray is as exact as its start: to an eighth of a pixel where layers are.
-    const double size = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-    if (!(size <= 0x1p20 * projection_.pixelFootprint(range.min))) return std::nullopt;
-    if (perspective && !(p.z > 0.5 * range.min)) return std::nullopt;
-    const auto w = perspective ? 1.0f / float(p.z) : 1.0f;
-    // In windows away from its middle; depth too.
-    const float places[] = {
-        (float(projection_.scale.x * p.x) * w + float(projection_.offset.x)) *
-                perWindow_.x -
-            0.5f,
-        (float(projection_.scale.y * p.y) * w + float(projection_.offset.y)) *
-                perWindow_.y -
-            0.5f,
-        (perspective ? 1.0f - range.max * w : float(p.z) - range.max) * perWindow_.z};
-    if (!(std::abs(places[0]) <= kFarthestOutside &&
-          std::abs(places[1]) <= kFarthestOutside))
-        return std::nullopt;
-    std::uint32_t place = 0;
-    for (int i = 0; i < 3; ++i) {
-        // Finest in the middle, and nothing is too far away.
-        const float near = places[i] / (1.0f + std::abs(places[i]));
-        const float cell = std::clamp(512.0f + 512.0f * near, 0.0f, 1023.0f);
-        place |= spread(std::uint32_t(cell)) << i;
-    }
-    return place;
 }
 
 std::uint32_t BundleQuery::keyOf(const Receiver& receiver) const noexcept {
@@ -280,6 +236,58 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
     }
 }
 
+/// Does nothing lie between those that have all of the light above them and it?
+bool BundleQuery::isFree(const Outlook& starts) const noexcept {
+    std::optional<trace::RayHull> hull = outline_.hull(starts);
+    if (!hull) return false;
+    if (!map_.nearField(0).empty()) {
+        const bool perspective = projection_.kind == ProjectionKind::perspective;
+        const auto depth = [&](float w) {
+            return float(kNearDepth * projection_.pixelFootprint(1.0)) *
+                   (perspective ? w : 1.0f);
+        };
+        if (trace::mayMeet(map_.nearField(0), *hull, depth(hull->wHigh))) return false;
+        hull->wFirst += (1.0f - 0x1p-10f) * depth(hull->wLow);
+    }
+    return !trace::mayMeet(*patches_, *hull);
+}
+
+/// Tells of receivers in sixteens, all at once or in fewer and fewer.
+void BundleQuery::findLit(Outlook* outlooks, int count, Glance* told) const noexcept {
+    Outlook all;
+    for (int i = 0; i < count; ++i)
+        all.include(outlooks[i]);
+    if (all.above == 0) return;
+    if (isFree(all)) {
+        for (int i = 0; i < count; ++i) {
+            for (std::uint32_t rest = outlooks[i].above; rest; rest &= rest - 1)
+                told[i * trace::kMostReceivers + std::countr_zero(rest)] = Glance::lit;
+        }
+    } else if (count > 1) {
+        const int part = (count + 3) / 4;
+        for (int first = 0; first < count; first += part)
+            findLit(outlooks + first, std::min(part, count - first),
+                    told + first * trace::kMostReceivers);
+    }
+}
+
+void BundleQuery::glance(const Receiver* receivers, int count, Glance* told,
+                         QueryStats& stats) const noexcept {
+    std::fill_n(told, count, Glance::unknown);
+    Outlook outlooks[kMostGlances / trace::kMostReceivers];
+    int parts = 0;
+    for (int first = 0; first < count; first += trace::kMostReceivers, ++parts) {
+        outlooks[parts] = outline_.outlook(
+            receivers + first, std::min(count - first, trace::kMostReceivers));
+        for (std::uint32_t rest = outlooks[parts].below; rest; rest &= rest - 1)
+            told[first + std::countr_zero(rest)] = Glance::dark;
+    }
+    if (patches_) findLit(outlooks, parts, told);
+    const std::uint32_t rays = steps_.end[0];
+    for (int i = 0; i < count; ++i)
+        stats.rays += told[i] == Glance::lit ? rays : 0;
+}
+
 bool BundleQuery::isEnough(const Sums& sums, int step) const noexcept {
     if (step + 1 == steps_.count) return true;
     if (options_.targetError > 0.0f) return errorOf(sums, step) <= options_.targetError;
@@ -303,6 +311,11 @@ float BundleQuery::errorOf(const Sums& sums, int step) const noexcept {
 
 Answer BundleQuery::answerOf(const Sums& sums, int step) const noexcept {
     return {1.0f - visibleOf(sums, step), errors_ ? errorOf(sums, step) : 0.0f};
+}
+
+Answer BundleQuery::answerOf(Glance told) const noexcept {
+    return {glm::vec3(told == Glance::lit ? 0.0f : 1.0f),
+            errors_ ? errorOf(Sums{}, 0) : 0.0f};
 }
 
 void BundleQuery::look(const Receiver* receivers, int count, int step, Sums* sums,

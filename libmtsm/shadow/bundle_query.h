@@ -10,8 +10,10 @@
 #include "light/sample.h"
 #include "mtsm/map.h"
 #include "mtsm/shadow.h"
+#include "shadow/light_outline.h"
 #include "shadow/light_rays.h"
 #include "shadow/query.h"
+#include "shadow/receiver_places.h"
 #include "shadow/sample_error.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
@@ -24,21 +26,21 @@ class BundleQuery {
     [[nodiscard]] static bool serves(const ShadowMap& map,
                                      const ShadowOptions& options) noexcept;
 
-    struct Receiver {
-        glm::dvec3 point{0.0};
-        /// Any length; zero: none, for all of a call or none.
-        glm::dvec3 normal{0.0};
-    };
     /// `only`: nothing else will be asked for.
     /// `errors`: answers come with their expected error.
     BundleQuery(const ShadowMap& map, const AreaLight& light,
                 const ShadowOptions& options, bool errors,
                 const Receiver* only = nullptr);
 
-    /// A number below 2^30 that is close for points whose rays take much the same way;
-    /// nothing for points that it cannot answer: far outside the view, rays in float are
-    /// too coarse. The point must be finite and not behind the light.
-    [[nodiscard]] std::optional<std::uint32_t> placeOf(glm::dvec3 point) const noexcept;
+    [[nodiscard]] const ReceiverPlaces& places() const noexcept { return places_; }
+
+    /// What can be told of receivers without their rays.
+    enum class Glance : std::uint8_t { unknown, lit, dark };
+    static constexpr int kMostGlances = 256;
+    /// Of 1 to kMostGlances receivers, better if they are neighbours; counts the rays
+    /// that they would take. What it tells is what the rays would.
+    void glance(const Receiver* receivers, int count, Glance* told,
+                QueryStats& stats) const noexcept;
 
     /// What is known of a receiver.
     struct Sums {
@@ -57,8 +59,12 @@ class BundleQuery {
     [[nodiscard]] bool isEnough(const Sums& sums, int step) const noexcept;
     /// The shadow factors, and their expected error if it was asked for.
     [[nodiscard]] Answer answerOf(const Sums& sums, int step) const noexcept;
+    /// The same for what a glance told.
+    [[nodiscard]] Answer answerOf(Glance told) const noexcept;
 
   private:
+    void findLit(Outlook* outlooks, int count, Glance* told) const noexcept;
+    [[nodiscard]] bool isFree(const Outlook& starts) const noexcept;
     [[nodiscard]] std::uint32_t keyOf(const Receiver& receiver) const noexcept;
     [[nodiscard]] glm::dvec3 turned(glm::dvec3 direction) const noexcept {
         return turn_ * direction;
@@ -73,9 +79,10 @@ class BundleQuery {
 
     const ShadowMap& map_;
     const Projection& projection_;
-    glm::dmat3 turn_;      // world to light space
-    glm::vec3 perWindow_;  // placeOf: one over the window's sides and its depth
+    glm::dmat3 turn_;  // world to light space
     light::LightSampler light_;
+    LightOutline outline_;
+    ReceiverPlaces places_;
     ShadowOptions options_;
     trace::ZBias bias_;
     const trace::PatchTree* patches_;    // of an opaque map

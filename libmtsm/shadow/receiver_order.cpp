@@ -9,6 +9,7 @@ namespace mtsm::shadow {
 namespace {
 
 constexpr std::size_t kPointsPerTask = 4096;
+constexpr std::uint32_t kPlaces = (1u << 30) - 1;
 
 /// By key, equal keys as they were.
 template <typename Entry>
@@ -31,37 +32,37 @@ void radixSort(std::vector<Entry>& entries) {
 
 }  // namespace
 
-ReceiverOrder::ReceiverOrder(const Query& query, const BundleQuery& bundles,
-                             const glm::dvec3* points, const glm::dvec3* normals,
-                             std::size_t count)
+ReceiverOrder::ReceiverOrder(const ReceiverPlaces& places, const glm::dvec3* points,
+                             const glm::dvec3* normals, std::size_t count)
     : sorted_(count) {
+    constexpr std::size_t kAtOnce = ReceiverPlaces::kAtOnce;
     base::parallelRanges(
         std::size_t(0), count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
-            for (std::size_t i = begin; i < end; ++i) {
-                Kind kind = Kind::alone;
-                std::uint32_t place = 0;
-                const auto at = query.isShadowed(points[i]) ? bundles.placeOf(points[i])
-                                                            : std::nullopt;
-                if (at) {
-                    kind = normals && saysSomething(normals[i]) ? Kind::withNormal
-                                                                : Kind::without;
-                    place = *at;
+            for (std::size_t first = begin; first < end; first += kAtOnce) {
+                const std::size_t some = std::min(kAtOnce, end - first);
+                std::uint32_t found[kAtOnce];
+                places.find(points + first, int(some), found);
+                for (std::size_t k = 0; k < some; ++k) {
+                    const std::size_t i = first + k;
+                    Kind kind = Kind::alone;
+                    if (found[k] != ReceiverPlaces::kNone)
+                        kind = normals && saysSomething(normals[i]) ? Kind::withNormal
+                                                                    : Kind::without;
+                    sorted_[i] = {std::uint32_t(kind) << 30 | (found[k] & kPlaces),
+                                  std::uint32_t(i)};
                 }
-                sorted_[i] = {std::uint32_t(kind) << 30 | place, std::uint32_t(i)};
             }
         });
     if (count > 1) radixSort(sorted_);
 }
 
-ReceiverOrder::Group ReceiverOrder::group(std::size_t first,
+ReceiverOrder::Block ReceiverOrder::block(std::size_t first,
                                           std::size_t end) const noexcept {
     const Kind kind = sorted_[first].kind();
-    if (kind == Kind::alone) return {1, false};
     std::size_t count = 1;
-    while (count < std::size_t(trace::kMostReceivers) && first + count < end &&
-           sorted_[first + count].kind() == kind)
+    while (first + count < end && sorted_[first + count].kind() == kind)
         ++count;
-    return {count, true};
+    return {count, kind != Kind::alone};
 }
 
 }  // namespace mtsm::shadow

@@ -5,27 +5,27 @@
 #include <glm/vec3.hpp>
 #include <vector>
 
-#include "shadow/bundle_query.h"
 #include "shadow/query.h"
+#include "shadow/receiver_places.h"
 
 namespace mtsm::shadow {
 
 class ReceiverOrder {
   public:
     /// `normals` may be null. At most 2^32 points.
-    ReceiverOrder(const Query& query, const BundleQuery& bundles,
-                  const glm::dvec3* points, const glm::dvec3* normals, std::size_t count);
+    ReceiverOrder(const ReceiverPlaces& places, const glm::dvec3* points,
+                  const glm::dvec3* normals, std::size_t count);
 
     /// The point that comes as number i.
     [[nodiscard]] std::size_t operator[](std::size_t i) const noexcept {
         return sorted_[i].point;
     }
-    /// Points that go together, from number `first` on and before `end`.
-    struct Group {
+    /// Points of one kind, from number `first` on and before `end`.
+    struct Block {
         std::size_t count = 0;
         bool bundled = false;  ///< else each goes alone, by ray
     };
-    [[nodiscard]] Group group(std::size_t first, std::size_t end) const noexcept;
+    [[nodiscard]] Block block(std::size_t first, std::size_t end) const noexcept;
 
   private:
     enum class Kind : std::uint32_t { withNormal = 0, without = 1, alone = 2 };

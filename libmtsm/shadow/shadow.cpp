@@ -53,7 +53,7 @@ void answerEach(const shadow::Query& query, const glm::dvec3* points,
 template <typename Take>
 class Groups {
   public:
-    using Receiver = shadow::BundleQuery::Receiver;
+    using Receiver = shadow::Receiver;
     Groups(const shadow::BundleQuery& bundles, QueryStats& stats, const Take& take)
         : bundles_(bundles), stats_(stats), take_(take) {}
 
@@ -119,27 +119,49 @@ template <typename Take>
 void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles,
                   const glm::dvec3* points, const glm::dvec3* normals, std::size_t count,
                   QueryStats& stats, const Take& take) {
-    const shadow::ReceiverOrder order(query, bundles, points, normals, count);
+    const shadow::ReceiverOrder order(bundles.places(), points, normals, count);
     std::mutex mutex;
     const auto answer = [&](std::size_t begin, std::size_t end) {
+        using Glance = shadow::BundleQuery::Glance;
+        constexpr int kMost = shadow::BundleQuery::kMostGlances;
         QueryStats part;
         Groups groups(bundles, part, take);
+        shadow::Receiver receivers[kMost];
+        std::size_t indices[kMost];
+        Glance told[kMost];
         for (std::size_t first = begin; first < end;) {
-            const shadow::ReceiverOrder::Group group = order.group(first, end);
-            shadow::BundleQuery::Receiver receivers[trace::kMostReceivers];
-            std::size_t indices[trace::kMostReceivers];
-            for (std::size_t k = 0; k < group.count; ++k) {
+            const shadow::ReceiverOrder::Block block =
+                order.block(first, std::min(end, first + kMost));
+            for (std::size_t k = 0; k < block.count; ++k) {
                 const std::size_t i = indices[k] = order[first + k];
                 receivers[k].point = points[i];
-                if (normals && shadow::saysSomething(normals[i]))
-                    receivers[k].normal = normals[i];
-                if (group.bundled)
-                    query.count(points[i], part);
-                else
-                    take(i, query.shadowFactor(points[i], receivers[k].normal, part));
+                receivers[k].normal = normals && shadow::saysSomething(normals[i])
+                                          ? normals[i]
+                                          : glm::dvec3(0.0);
             }
-            if (group.bundled) groups.add(receivers, indices, group.count);
-            first += group.count;
+            first += block.count;
+            if (!block.bundled) {
+                for (std::size_t k = 0; k < block.count; ++k)
+                    take(indices[k], query.shadowFactor(receivers[k].point,
+                                                        receivers[k].normal, part));
+                continue;
+            }
+            for (std::size_t k = 0; k < block.count; ++k)
+                query.count(receivers[k].point, part);
+            bundles.glance(receivers, int(block.count), told, part);
+            // The others close ranks.
+            std::size_t left = 0;
+            for (std::size_t k = 0; k < block.count; ++k) {
+                if (told[k] != Glance::unknown) {
+                    take(indices[k], bundles.answerOf(told[k]));
+                    continue;
+                }
+                receivers[left] = receivers[k];
+                indices[left++] = indices[k];
+            }
+            for (std::size_t k = 0; k < left; k += trace::kMostReceivers)
+                groups.add(receivers + k, indices + k,
+                           std::min(left - k, std::size_t(trace::kMostReceivers)));
         }
         groups.finish();
         const std::lock_guard lock(mutex);
@@ -156,7 +178,7 @@ void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* p
     const shadow::Query query(map, light, options, errors);
     QueryStats met;
     if (shadow::BundleQuery::serves(map, options)) {
-        const shadow::BundleQuery::Receiver only{
+        const shadow::Receiver only{
             points[0], normals ? shadow::unitNormal(normals[0]) : glm::dvec3(0.0)};
         const shadow::BundleQuery bundles(map, light, options, errors,
                                           count == 1 ? &only : nullptr);

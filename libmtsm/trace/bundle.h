@@ -70,4 +70,12 @@ struct RayBundle {
     float planeHeight = 0.0f;
 };
 
+/// All rays of some receivers: where they start, and what they go sideways.
+struct RayHull {
+    float uLow, uHigh, vLow, vHigh, wLow, wHigh;  ///< of the starts
+    /// Pixels per w, as RayBundle's; all rays lead towards the eye.
+    float slopeLowU, slopeHighU, slopeLowV, slopeHighV;
+    float wFirst;  ///< nothing counts below this
+};
+
 }  // namespace mtsm::trace

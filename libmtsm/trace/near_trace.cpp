@@ -117,6 +117,23 @@ struct Box {
     }
 };
 
+/// Which of the children overlap the box.
+std::uint32_t overlapping(const NearBoxes& boxes, const Box& box) {
+    const Floats d;
+    std::uint32_t found = 0;
+    for (std::size_t i = 0; i < NearBoxes::kChildren; i += hn::Lanes(d)) {
+        Mask overlap = hn::Le(hn::LoadU(d, boxes.low[0] + i), hn::Set(d, box.high[0]));
+        for (int axis = 0; axis < 3; ++axis) {
+            overlap = hn::And(overlap, hn::Le(hn::LoadU(d, boxes.low[axis] + i),
+                                              hn::Set(d, box.high[axis])));
+            overlap = hn::And(overlap, hn::Ge(hn::LoadU(d, boxes.high[axis] + i),
+                                              hn::Set(d, box.low[axis])));
+        }
+        found |= bitsOf(d, overlap) << i;
+    }
+    return found;
+}
+
 /// The corners of a chunk's triangles, and their boxes.
 struct Triangles {
     alignas(64) float corner[3][3][kTriangles];  // [corner][axis][triangle]
@@ -226,7 +243,8 @@ class Walk {
     [[nodiscard]] bool anyOpen(int receiver) const;
     [[nodiscard]] Box boxOf(int receiver, int row, int lane) const;
     void node(std::size_t level, std::size_t index);
-    [[nodiscard]] std::uint32_t lanesAt(const Box& box) const;
+    void findLanes(const NearBoxes& boxes, std::uint32_t children, int k,
+                   std::uint32_t* lanes) const;
     void chunk(const NearChunk& chunk, std::uint32_t lanes);
     [[nodiscard]] std::uint32_t trianglesFor(int lane, const Triangles& triangles) const;
     void cross(int lane, const SeenTriangles& seen, int t, const Box& box);
@@ -249,6 +267,21 @@ bool Walk::anyOpen(int receiver) const {
     return open != 0;
 }
 
+/// Where rays go that start between two corners, go sideways between two slopes, and come
+/// as far as `rise` in w.
+Box boxAround(const float (&startLow)[3], const float (&startHigh)[3],
+              const float (&lows)[3], const float (&highs)[3], float rise) {
+    Box box;
+    for (int axis = 0; axis < 3; ++axis) {
+        const float way = std::max(std::abs(lows[axis]), std::abs(highs[axis])) * rise;
+        const float away = std::max(std::abs(startLow[axis]), std::abs(startHigh[axis]));
+        const float margin = (away + way) * 2.0f * kMargin;
+        box.low[axis] = startLow[axis] + std::min(0.0f, lows[axis] * rise) - margin;
+        box.high[axis] = startHigh[axis] + std::max(0.0f, highs[axis] * rise) + margin;
+    }
+    return box;
+}
+
 /// Contains boxOf() of all its rays.
 void Walk::bound(int receiver) {
     if (!anyOpen(receiver)) return;
@@ -263,18 +296,11 @@ void Walk::bound(int receiver) {
     } else {
         float start[3];
         startOf(receiver, start);
-        const float rise = rays_.rise[receiver];
         const float lows[3] = {rays_.slopeLowU[receiver], rays_.slopeLowV[receiver],
                                0.0f};
         const float highs[3] = {rays_.slopeHighU[receiver], rays_.slopeHighV[receiver],
                                 1.0f};
-        for (int axis = 0; axis < 3; ++axis) {
-            const float way =
-                std::max(std::abs(lows[axis]), std::abs(highs[axis])) * rise;
-            const float margin = (std::abs(start[axis]) + way) * 2.0f * kMargin;
-            box.low[axis] = start[axis] + std::min(0.0f, lows[axis] * rise) - margin;
-            box.high[axis] = start[axis] + std::max(0.0f, highs[axis] * rise) + margin;
-        }
+        box = boxAround(start, start, lows, highs, rays_.rise[receiver]);
     }
     for (int axis = 0; axis < 3; ++axis) {
         low_[axis][receiver] = box.low[axis];
@@ -301,66 +327,55 @@ Box Walk::boxOf(int receiver, int row, int lane) const {
 }
 
 void Walk::node(std::size_t level, std::size_t index) {
-    const Floats d;
     const NearBoxes& boxes = field_.levels[level][index];
-    std::uint32_t found = 0;
-    for (std::size_t i = 0; i < NearBoxes::kChildren; i += hn::Lanes(d)) {
-        Mask overlap = hn::Le(hn::LoadU(d, boxes.low[0] + i), hn::Set(d, hull_.high[0]));
-        for (int axis = 0; axis < 3; ++axis) {
-            overlap = hn::And(overlap, hn::Le(hn::LoadU(d, boxes.low[axis] + i),
-                                              hn::Set(d, hull_.high[axis])));
-            overlap = hn::And(overlap, hn::Ge(hn::LoadU(d, boxes.high[axis] + i),
-                                              hn::Set(d, hull_.low[axis])));
-        }
-        found |= bitsOf(d, overlap) << i;
+    std::uint32_t found = overlapping(boxes, hull_);
+    const std::size_t first = NearBoxes::kChildren * index;
+    if (level > 0) {
+        for (; found && lanesLeft_; found &= found - 1)
+            node(level - 1, first + std::size_t(std::countr_zero(found)));
+        return;
     }
+    std::uint32_t lanes[NearBoxes::kChildren] = {};
+    for (int k = 0; k < kLanes; k += int(hn::Lanes(Floats())))
+        findLanes(boxes, found, k, lanes);
     for (; found && lanesLeft_; found &= found - 1) {
         const int i = std::countr_zero(found);
-        const std::size_t child = NearBoxes::kChildren * index + std::size_t(i);
-        if (level > 0) {
-            node(level - 1, child);
-            continue;
-        }
-        Box box;
-        for (int axis = 0; axis < 3; ++axis) {
-            box.low[axis] = boxes.low[axis][i];
-            box.high[axis] = boxes.high[axis][i];
-        }
-        const std::uint32_t lanes = lanesAt(box) & lanesLeft_;
-        if (lanes) chunk(field_.chunks[child], lanes);
+        if (lanes[i] & lanesLeft_)
+            chunk(field_.chunks[first + std::size_t(i)], lanes[i] & lanesLeft_);
     }
 }
 
-/// Receivers whose rays may meet something in the box that lies high enough above their
-/// planes.
-std::uint32_t Walk::lanesAt(const Box& box) const {
+/// Of as many receivers as a vector holds, from number k on: whose rays may meet
+/// something in a child's box that lies high enough above their planes. No branch depends
+/// on what is found.
+void Walk::findLanes(const NearBoxes& boxes, std::uint32_t children, int k,
+                     std::uint32_t* lanes) const {
     const Floats d;
-    std::uint32_t lanes = 0;
-    for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
-        Mask may = hn::Le(hn::Load(d, low_[0] + k), hn::Set(d, box.high[0]));
+    const auto load = [&](const float* p) { return hn::Load(d, p + k); };
+    const Vec low[3] = {load(low_[0]), load(low_[1]), load(low_[2])};
+    const Vec high[3] = {load(high_[0]), load(high_[1]), load(high_[2])};
+    const bool planes = rays_.hasPlanes;
+    const Vec zero = hn::Zero(d);
+    const Vec start[3] = {load(rays_.u), load(rays_.v), load(rays_.w)};
+    const Vec normal[3] = {planes ? load(rays_.planeU) : zero,
+                           planes ? load(rays_.planeV) : zero,
+                           planes ? load(rays_.planeW) : zero};
+    const Vec height = hn::Set(d, planes ? height_ : -kInfinity);
+    for (; children; children &= children - 1) {
+        const int i = std::countr_zero(children);
+        Mask may = hn::Ge(zero, zero);
+        Vec above = zero;
         for (int axis = 0; axis < 3; ++axis) {
+            const Vec boxLow = hn::Set(d, boxes.low[axis][i]);
+            const Vec boxHigh = hn::Set(d, boxes.high[axis][i]);
             may = hn::And(
-                may, hn::Le(hn::Load(d, low_[axis] + k), hn::Set(d, box.high[axis])));
-            may = hn::And(
-                may, hn::Ge(hn::Load(d, high_[axis] + k), hn::Set(d, box.low[axis])));
+                may, hn::And(hn::Le(low[axis], boxHigh), hn::Ge(high[axis], boxLow)));
+            // Of the box's corners the highest.
+            const Vec far = hn::IfThenElse(hn::Lt(normal[axis], zero), boxLow, boxHigh);
+            above = hn::Add(above, hn::Mul(normal[axis], hn::Sub(far, start[axis])));
         }
-        if (rays_.hasPlanes) {
-            const float* const normals[3] = {rays_.planeU, rays_.planeV, rays_.planeW};
-            const float* const starts[3] = {rays_.u, rays_.v, rays_.w};
-            Vec height = hn::Zero(d);
-            for (int axis = 0; axis < 3; ++axis) {
-                const Vec n = hn::Load(d, normals[axis] + k);
-                const Vec start = hn::Load(d, starts[axis] + k);
-                height = hn::Add(
-                    height,
-                    hn::Max(hn::Mul(n, hn::Sub(hn::Set(d, box.low[axis]), start)),
-                            hn::Mul(n, hn::Sub(hn::Set(d, box.high[axis]), start))));
-            }
-            may = hn::And(may, hn::Gt(height, hn::Set(d, height_)));
-        }
-        lanes |= bitsOf(d, may) << k;
+        lanes[i] |= bitsOf(d, hn::And(may, hn::Gt(above, height))) << k;
     }
-    return lanes;
 }
 
 void Walk::chunk(const NearChunk& chunk, std::uint32_t lanes) {
@@ -465,6 +480,32 @@ void traceNearAt(const NearField& field, RayBundle& rays, const float (*end)[kLa
     Walk(field, rays, end, height).run();
 }
 
+/// Does a chunk's box overlap it? Depth first; gives up after some nodes.
+bool mayMeetAt(const NearField& field, const RayHull& hull, float rise) {
+    if (field.levels.empty()) return false;
+    const float startLow[3] = {hull.uLow, hull.vLow, hull.wLow};
+    const float startHigh[3] = {hull.uHigh, hull.vHigh, hull.wHigh};
+    const float lows[3] = {hull.slopeLowU, hull.slopeLowV, 0.0f};
+    const float highs[3] = {hull.slopeHighU, hull.slopeHighV, 1.0f};
+    const Box box = boxAround(startLow, startHigh, lows, highs, rise);
+    struct Node {
+        std::size_t level, index;
+    };
+    constexpr int kSize = 64;
+    Node stack[kSize] = {{field.levels.size() - 1, 0}};
+    for (int waiting = 1, looks = 0; waiting > 0; ++looks) {
+        const Node node = stack[--waiting];
+        std::uint32_t found = overlapping(field.levels[node.level][node.index], box);
+        if (found == 0) continue;
+        if (node.level == 0 || looks == kSize || waiting + std::popcount(found) > kSize)
+            return true;
+        for (; found; found &= found - 1)
+            stack[waiting++] = {node.level - 1, NearBoxes::kChildren * node.index +
+                                                    std::size_t(std::countr_zero(found))};
+    }
+    return false;
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace mtsm::trace
 HWY_AFTER_NAMESPACE();
@@ -473,10 +514,15 @@ HWY_AFTER_NAMESPACE();
 namespace mtsm::trace {
 
 HWY_EXPORT(traceNearAt);
+HWY_EXPORT(mayMeetAt);
 
 void traceNear(const NearField& field, RayBundle& rays, const float (*end)[kLanes],
                float height) noexcept {
     HWY_DYNAMIC_DISPATCH(traceNearAt)(field, rays, end, height);
+}
+
+bool mayMeet(const NearField& field, const RayHull& hull, float rise) noexcept {
+    return HWY_DYNAMIC_DISPATCH(mayMeetAt)(field, hull, rise);
 }
 
 }  // namespace mtsm::trace

@@ -20,4 +20,9 @@ namespace mtsm::trace {
 void traceNear(const NearField& field, RayBundle& rays, const float (*end)[kLanes],
                float height) noexcept;
 
+/// May any ray of the hull meet a triangle, of which it comes no further than `rise` in
+/// w? Where that is not soon found out, it may. Does not allocate.
+[[nodiscard]] bool mayMeet(const NearField& field, const RayHull& hull,
+                           float rise) noexcept;
+
 }  // namespace mtsm::trace

@@ -2,6 +2,7 @@
 // sixteen rays at a time.
 #include "trace/patch_trace.h"
 
+#include <hwy/cache_control.h>
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -94,6 +95,76 @@ HWY_INLINE Vec reciprocal(Vec x) {
     return hn::Mul(guess, hn::NegMulAdd(x, guess, hn::Set(kF, 2.0f)));
 }
 
+constexpr int field(int i) {
+    return 4 * i;
+}  // of PatchGroup, in its order
+
+/// Do rays that start between two places, and go sideways between two slopes, cross what
+/// lies between two sides while they rise by `least` to `most`?
+HWY_INLINE hn::Mask<Floats> crosses(Vec side0, Vec side1, Vec startLow, Vec startHigh,
+                                    Vec slopeLow, Vec slopeHigh, Vec least, Vec most) {
+    const Vec low = hn::Min(hn::Mul(slopeLow, least), hn::Mul(slopeLow, most));
+    const Vec high = hn::Max(hn::Mul(slopeHigh, least), hn::Mul(slopeHigh, most));
+    return hn::And(hn::Le(hn::Add(startLow, low), side1),
+                   hn::Ge(hn::Add(startHigh, high), side0));
+}
+
+/// Which patches of four groups, of a vector from number `first` on, a ray of the hull
+/// can meet; `wide`: all that there are.
+HWY_INLINE std::uint32_t meet(const RayHull& hull, bool wide, const float* const* groups,
+                              int first) {
+    const auto load = [&](int number) {
+        return loadField(kF, groups, field(number), first / kN);
+    };
+    const Vec high = load(0);
+    const auto exists = hn::Gt(high, hn::Set(kF, -HUGE_VALF));
+    if (wide) return bitsOf(exists);
+    const Vec low = load(1), u = load(6), v = load(7), halfU = load(8), halfV = load(9);
+    const auto set = [](float x) { return hn::Set(kF, x); };
+    const Vec least =
+        hn::Max(hn::Zero(kF), hn::Sub(hn::Max(low, set(hull.wFirst)), set(hull.wHigh)));
+    const Vec most = hn::Sub(high, set(hull.wLow));
+    auto met = hn::And(exists, hn::Ge(high, set(hull.wFirst)));
+    met = hn::And(met, crosses(hn::Sub(u, halfU), hn::Add(u, halfU), set(hull.uLow),
+                               set(hull.uHigh), set(hull.slopeLowU), set(hull.slopeHighU),
+                               least, most));
+    met = hn::And(met, crosses(hn::Sub(v, halfV), hn::Add(v, halfV), set(hull.vLow),
+                               set(hull.vHigh), set(hull.slopeLowV), set(hull.slopeHighV),
+                               least, most));
+    return bitsOf(met);
+}
+
+/// The tiles of a level no finer than `level` that the hull's rays go over, few of them:
+/// hands them to take(tile).
+template <typename Take>
+void enterTiles(const PatchTree& tree, const RayHull& hull, bool wide, std::size_t level,
+                const Take& take) {
+    const std::vector<PatchTree::Level>& levels = tree.levels();
+    const float most = std::max(0.0f, tree.highest() - hull.wLow);
+    float u0 = hull.uLow + std::min(0.0f, hull.slopeLowU * most);
+    float u1 = hull.uHigh + std::max(0.0f, hull.slopeHighU * most);
+    float v0 = hull.vLow + std::min(0.0f, hull.slopeLowV * most);
+    float v1 = hull.vHigh + std::max(0.0f, hull.slopeHighV * most);
+    if (wide) u0 = v0 = -HUGE_VALF, u1 = v1 = HUGE_VALF;
+    level = std::min(level, levels.size() - 1);
+    while (level + 1 < levels.size() &&
+           std::max(u1 - u0, v1 - v0) > 2.0f * float(levels[level].side))
+        ++level;
+    const PatchTree::Level& entry = levels[level];
+    const auto place = [&](float x, std::uint32_t count) {
+        const float tile = std::floor(x / float(entry.side));
+        return std::uint32_t(std::clamp(tile, 0.0f, float(count - 1)));
+    };
+    for (std::uint32_t y = place(v0, entry.rows); y <= place(v1, entry.rows); ++y) {
+        for (std::uint32_t x = place(u0, entry.columns); x <= place(u1, entry.columns);
+             ++x) {
+            const PatchTree::Entry& tile =
+                entry.tiles[std::size_t(y) * entry.columns + x];
+            if (tile.groups > 0) take(tile);
+        }
+    }
+}
+
 class Traversal {
   public:
     Traversal(const PatchTree& tree, RayBundle& bundle) : tree_(tree), bundle_(bundle) {}
@@ -156,30 +227,10 @@ class Traversal {
     /// The tiles of the first level at which some receiver may be answered, or, if those
     /// were many, of a coarser one.
     void enter() {
-        const std::vector<PatchTree::Level>& levels = tree_.levels();
-        const float most = std::max(0.0f, tree_.highest() - hull_.wLow);
-        float u0 = hull_.uLow + std::min(0.0f, hull_.slopeLowU * most);
-        float u1 = hull_.uHigh + std::max(0.0f, hull_.slopeHighU * most);
-        float v0 = hull_.vLow + std::min(0.0f, hull_.slopeLowV * most);
-        float v1 = hull_.vHigh + std::max(0.0f, hull_.slopeHighV * most);
-        if (anyWide_) u0 = v0 = -HUGE_VALF, u1 = v1 = HUGE_VALF;
-        std::size_t level = std::min(std::size_t(std::max(top_, 1)), levels.size() - 1);
-        while (level + 1 < levels.size() &&
-               std::max(u1 - u0, v1 - v0) > 2.0f * float(levels[level].side))
-            ++level;
-        const PatchTree::Level& entry = levels[level];
-        const auto place = [&](float x, std::uint32_t count) {
-            const float tile = std::floor(x / float(entry.side));
-            return std::uint32_t(std::clamp(tile, 0.0f, float(count - 1)));
-        };
-        for (std::uint32_t y = place(v0, entry.rows); y <= place(v1, entry.rows); ++y) {
-            for (std::uint32_t x = place(u0, entry.columns);
-                 x <= place(u1, entry.columns); ++x) {
-                const PatchTree::Entry& tile =
-                    entry.tiles[std::size_t(y) * entry.columns + x];
-                if (tile.groups > 0) queue_.push({tile.group, tile.groups, lanes_});
-            }
-        }
+        enterTiles(tree_, hull_, anyWide_, std::size_t(std::max(top_, 1)),
+                   [&](const PatchTree::Entry& tile) {
+                       queue_.push({tile.group, tile.groups, lanes_});
+                   });
     }
 
     // --- patches
@@ -202,48 +253,79 @@ class Traversal {
         }
         std::uint32_t reached = 0;
         for (int i = 0; i < 16; i += kN)
-            reached |= meet(fields, i) << i;
-        for (met &= reached; met; met &= met - 1) {
-            const int i = std::countr_zero(met);
-            visit(*groups[i / 4], i % 4, lanes[i / 4] & lanes_);
+            reached |= meet(hull_, anyWide_, fields, i) << i;
+        met &= reached;
+        if (met == 0) return;
+        std::uint32_t open[16] = {}, far[16] = {};
+        for (int k = 0; k < kLanes; k += kN)
+            findLanes(groups, met, k, open, far);
+        std::uint32_t some = 0;
+        for (std::uint32_t rest = met; rest; rest &= rest - 1) {
+            const int i = std::countr_zero(rest);
+            open[i] &= lanes[i / 4];
+            some |= std::uint32_t(open[i] != 0) << i;
+            hwy::Prefetch(tree_.covers() + groups[i / 4]->cover[i % 4]);
+        }
+        for (; some; some &= some - 1) {
+            const int i = std::countr_zero(some);
+            visit(*groups[i / 4], i % 4, open[i] & lanes_, far[i]);
             if (lanes_ == 0) return;
         }
     }
 
-    static constexpr int field(int i) { return 4 * i; }  // of PatchGroup, in its order
-
-    /// Do rays that start between two places, and go sideways between two slopes, cross
-    /// what lies between two sides while they rise by `least` to `most`?
-    static hn::Mask<Floats> crosses(Vec side0, Vec side1, Vec startLow, Vec startHigh,
-                                    Vec slopeLow, Vec slopeHigh, Vec least, Vec most) {
-        const Vec low = hn::Min(hn::Mul(slopeLow, least), hn::Mul(slopeLow, most));
-        const Vec high = hn::Max(hn::Mul(slopeHigh, least), hn::Mul(slopeHigh, most));
-        return hn::And(hn::Le(hn::Add(startLow, low), side1),
-                       hn::Ge(hn::Add(startHigh, high), side0));
-    }
-
-    /// Which patches, of a vector from number `first` on, any ray can meet.
-    std::uint32_t meet(const float* const* groups, int first) const {
-        const auto load = [&](int number) {
-            return loadField(kF, groups, field(number), first / kN);
-        };
-        const Vec high = load(0);
-        const auto exists = hn::Gt(high, hn::Set(kF, -HUGE_VALF));
-        if (anyWide_) return bitsOf(exists);
-        const Vec low = load(1), u = load(6), v = load(7), halfU = load(8),
-                  halfV = load(9);
+    /// Of as many receivers as a vector holds, from number k on, and patches of four
+    /// groups: `open`, some of whose rays may meet the patch, above their tangent planes;
+    /// `far`, so far away that the patch is as fine as their rays are dense. No branch
+    /// depends on what is found.
+    void findLanes(const PatchGroup* const* groups, std::uint32_t met, int k,
+                   std::uint32_t* open, std::uint32_t* far) const {
+        const auto load = [k](const float* p) { return hn::Load(kF, p + k); };
         const auto set = [](float x) { return hn::Set(kF, x); };
-        const Vec least = hn::Max(
-            hn::Zero(kF), hn::Sub(hn::Max(low, set(hull_.wFirst)), set(hull_.wHigh)));
-        const Vec most = hn::Sub(high, set(hull_.wLow));
-        auto met = hn::And(exists, hn::Ge(high, set(hull_.wFirst)));
-        met = hn::And(met, crosses(hn::Sub(u, halfU), hn::Add(u, halfU), set(hull_.uLow),
-                                   set(hull_.uHigh), set(hull_.slopeLowU),
-                                   set(hull_.slopeHighU), least, most));
-        met = hn::And(met, crosses(hn::Sub(v, halfV), hn::Add(v, halfV), set(hull_.vLow),
-                                   set(hull_.vHigh), set(hull_.slopeLowV),
-                                   set(hull_.slopeHighV), least, most));
-        return bitsOf(met);
+        const Vec u = load(bundle_.u), v = load(bundle_.v), w = load(bundle_.w);
+        const Vec rise = load(bundle_.rise);
+        const Vec lowU = load(bundle_.slopeLowU), highU = load(bundle_.slopeHighU);
+        const Vec lowV = load(bundle_.slopeLowV), highV = load(bundle_.slopeHighV);
+        const auto steepest = [](Vec low, Vec high) {
+            return hn::Max(hn::Abs(low), hn::Abs(high));
+        };
+        const Vec slant = hn::Max(steepest(lowU, highU), steepest(lowV, highV));
+        const Vec dense = hn::Mul(load(bundle_.spread), set(kTexel));
+        const bool planes = bundle_.hasPlanes;
+        const Vec a = planes ? load(bundle_.planeU) : hn::Zero(kF);
+        const Vec b = planes ? load(bundle_.planeV) : hn::Zero(kF);
+        const Vec c = planes ? load(bundle_.planeW) : hn::Zero(kF);
+        const Vec height = set(planes ? bundle_.planeHeight : -HUGE_VALF);
+        const std::uint32_t wide = (std::uint32_t(bundle_.wide) >> k) & kAll;
+        for (; met; met &= met - 1) {
+            const int number = std::countr_zero(met), i = number % 4;
+            const PatchGroup& g = *groups[number / 4];
+            const Vec halfU = set(g.halfU[i]), halfV = set(g.halfV[i]);
+            const Vec awayU = hn::Sub(set(g.u[i]), u), awayV = hn::Sub(set(g.v[i]), v);
+            const Vec lowest = hn::Sub(set(g.low[i]), w);
+            const Vec least = hn::Max(lowest, rise), most = hn::Sub(set(g.high[i]), w);
+            auto met16 = hn::Ge(most, rise);
+            const auto crosses = [&](Vec away, Vec half, Vec low, Vec high) {
+                const Vec nearest = hn::Min(hn::Mul(low, least), hn::Mul(low, most));
+                const Vec furthest = hn::Max(hn::Mul(high, least), hn::Mul(high, most));
+                return hn::And(hn::Le(nearest, hn::Add(away, half)),
+                               hn::Ge(furthest, hn::Sub(away, half)));
+            };
+            met16 = hn::And(met16, crosses(awayU, halfU, lowU, highU));
+            met16 = hn::And(met16, crosses(awayV, halfV, lowV, highV));
+            // Height at the box's centre, and how it changes along the patch's plane.
+            Vec above = hn::MulAdd(b, awayV, hn::Mul(a, awayU));
+            above = hn::MulAdd(c, hn::Sub(set(g.w[i]), w), above);
+            const Vec perU = hn::MulAdd(c, set(g.gradientU[i]), a);
+            const Vec perV = hn::MulAdd(c, set(g.gradientV[i]), b);
+            above = hn::MulAdd(hn::Abs(perU), halfU, above);
+            above = hn::MulAdd(hn::Abs(perV), halfV, above);
+            above = hn::MulAdd(hn::Abs(c), set(g.residual[i]), above);
+            const auto higher = hn::Gt(above, height);
+            open[number] |= ((bitsOf(met16) | wide) & bitsOf(higher)) << k;
+            const Vec coarse =
+                hn::Max(hn::Mul(slant, set(g.residual[i])), set(g.texel[i]));
+            far[number] |= bitsOf(hn::Le(coarse, hn::Mul(dense, lowest))) << k;
+        }
     }
 
     /// Groups of rays that may meet the patch.
@@ -269,31 +351,8 @@ class Traversal {
         return groups & all;
     }
 
-    /// Receivers some of whose rays may meet the patch.
-    [[nodiscard]] std::uint32_t lanesMet(const PatchGroup& g, int i) const {
-        std::uint32_t lanes = bundle_.wide;
-        const auto set = [](float x) { return hn::Set(kF, x); };
-        for (int k = 0; k < kLanes; k += kN) {
-            const auto load = [k](const float* p) { return hn::Load(kF, p + k); };
-            const Vec u = load(bundle_.u), v = load(bundle_.v), w = load(bundle_.w);
-            const Vec rise = load(bundle_.rise);
-            const Vec least = hn::Max(hn::Sub(set(g.low[i]), w), rise);
-            const Vec most = hn::Sub(set(g.high[i]), w);
-            auto met = hn::Ge(most, rise);
-            met = hn::And(met, crosses(set(g.u[i] - g.halfU[i]), set(g.u[i] + g.halfU[i]),
-                                       u, u, load(bundle_.slopeLowU),
-                                       load(bundle_.slopeHighU), least, most));
-            met = hn::And(met, crosses(set(g.v[i] - g.halfV[i]), set(g.v[i] + g.halfV[i]),
-                                       v, v, load(bundle_.slopeLowV),
-                                       load(bundle_.slopeHighV), least, most));
-            lanes |= bitsOf(met) << k;
-        }
-        return lanes;
-    }
-
-    void visit(const PatchGroup& g, int i, std::uint32_t lanes) {
-        if (lanes && bundle_.hasPlanes) lanes &= lanesBelow(g, i);
-        if (lanes) lanes &= lanesMet(g, i);
+    /// `lanes`, `far`: as findLanes finds them.
+    void visit(const PatchGroup& g, int i, std::uint32_t lanes, std::uint32_t far) {
         if (lanes == 0) return;
         const std::uint64_t groups = groupsMet(g, i);
         if (groups == 0) return;
@@ -301,55 +360,15 @@ class Traversal {
         if (g.childGroups[i] > 0) {
             answered &= mayAnswer_[g.level[i]];
             if (answered && g.sheet[i]) test<true>(g, i, groups, answered);
-            answered &= lanesFarFrom(g, i) & ~std::uint32_t(bundle_.wide);
+            answered &= far & ~std::uint32_t(bundle_.wide);
         }
         if (answered) test<false>(g, i, groups, answered);
         const std::uint32_t rest = lanes & ~answered & lanes_;
-        if (rest) queue_.push({g.children[i], g.childGroups[i], std::uint16_t(rest)});
-    }
-
-    /// Receivers whose tangent plane some of the patch lies above.
-    [[nodiscard]] std::uint32_t lanesBelow(const PatchGroup& g, int i) const {
-        std::uint32_t lanes = 0;
-        for (int k = 0; k < kLanes; k += kN) {
-            const Vec a = hn::Load(kF, bundle_.planeU + k);
-            const Vec b = hn::Load(kF, bundle_.planeV + k);
-            const Vec c = hn::Load(kF, bundle_.planeW + k);
-            // Height at the box's centre, and how it changes along the patch's plane.
-            Vec height =
-                hn::Mul(a, hn::Sub(hn::Set(kF, g.u[i]), hn::Load(kF, bundle_.u + k)));
-            height = hn::MulAdd(
-                b, hn::Sub(hn::Set(kF, g.v[i]), hn::Load(kF, bundle_.v + k)), height);
-            height = hn::MulAdd(
-                c, hn::Sub(hn::Set(kF, g.w[i]), hn::Load(kF, bundle_.w + k)), height);
-            const Vec perU = hn::MulAdd(c, hn::Set(kF, g.gradientU[i]), a);
-            const Vec perV = hn::MulAdd(c, hn::Set(kF, g.gradientV[i]), b);
-            height = hn::MulAdd(hn::Abs(perU), hn::Set(kF, g.halfU[i]), height);
-            height = hn::MulAdd(hn::Abs(perV), hn::Set(kF, g.halfV[i]), height);
-            height = hn::MulAdd(hn::Abs(c), hn::Set(kF, g.residual[i]), height);
-            lanes |= bitsOf(hn::Gt(height, hn::Set(kF, bundle_.planeHeight))) << k;
-        }
-        return lanes;
-    }
-
-    /// Receivers so far away that the patch is as fine as their rays are dense.
-    [[nodiscard]] std::uint32_t lanesFarFrom(const PatchGroup& g, int i) const {
-        std::uint32_t lanes = 0;
-        for (int k = 0; k < kLanes; k += kN) {
-            const Vec away = hn::Sub(hn::Set(kF, g.low[i]), hn::Load(kF, bundle_.w + k));
-            const Vec dense = hn::Mul(hn::Load(kF, bundle_.spread + k),
-                                      hn::Mul(hn::Set(kF, kTexel), away));
-            const auto steepest = [k](const float* low, const float* high) {
-                return hn::Max(hn::Abs(hn::Load(kF, low + k)),
-                               hn::Abs(hn::Load(kF, high + k)));
-            };
-            const Vec slant = hn::Max(steepest(bundle_.slopeLowU, bundle_.slopeHighU),
-                                      steepest(bundle_.slopeLowV, bundle_.slopeHighV));
-            const Vec aside = hn::Mul(slant, hn::Set(kF, g.residual[i]));
-            const Vec coarse = hn::Max(aside, hn::Set(kF, g.texel[i]));
-            lanes |= bitsOf(hn::Le(coarse, dense)) << k;
-        }
-        return lanes;
+        if (rest == 0) return;
+        queue_.push({g.children[i], g.childGroups[i], std::uint16_t(rest)});
+        const auto* next = reinterpret_cast<const char*>(tree_.groups() + g.children[i]);
+        for (std::size_t at = 0; at < sizeof(PatchGroup); at += 64)
+            hwy::Prefetch(next + at);
     }
 
     // --- rays
@@ -512,17 +531,84 @@ class Traversal {
     std::uint16_t lanes_ = 0;  // receivers with open rays
     std::uint16_t mayAnswer_[kMostLevels];
     int top_ = 0;
-    struct Hull {
-        float uLow, uHigh, vLow, vHigh, wLow, wHigh;
-        float slopeLowU, slopeHighU, slopeLowV, slopeHighV;
-        float wFirst;  // below this nothing counts
-    } hull_;
+    RayHull hull_;
     bool anyWide_ = false;
     Queue queue_;
 };
 
 void tracePatches(const PatchTree& tree, RayBundle& bundle) {
     Traversal(tree, bundle).run();
+}
+
+/// mayMeet: depth first, until a patch is met that is no larger than the hull there.
+class Glance {
+  public:
+    Glance(const PatchTree& tree, const RayHull& hull) : tree_(tree), hull_(hull) {}
+
+    bool run() {
+        enterTiles(tree_, hull_, false, 1,
+                   [&](const PatchTree::Entry& tile) { push(tile.group, tile.groups); });
+        for (int looks = 0; waiting_ > 0; ++looks) {
+            if (full_ || looks == kMostLooks || look()) return true;
+        }
+        return full_;
+    }
+
+  private:
+    void push(std::uint32_t group, std::uint32_t groups) {
+        for (std::uint32_t i = 0; i < groups; ++i) {
+            if (waiting_ == kSize) {
+                full_ = true;
+                return;
+            }
+            stack_[waiting_++] = group + i;
+        }
+    }
+
+    /// At up to four groups; true: what is met is as fine as it gets.
+    bool look() {
+        const float* fields[4];
+        const PatchGroup* groups[4];
+        std::uint32_t met = 0;
+        for (int i = 0; i < 4; ++i) {
+            groups[i] = tree_.groups();  // any one, if there is none to look at
+            if (waiting_ > 0) {
+                groups[i] += stack_[--waiting_];
+                met |= 15u << (4 * i);
+            }
+            fields[i] = groups[i]->high;
+        }
+        std::uint32_t reached = 0;
+        for (int i = 0; i < 16; i += kN)
+            reached |= meet(hull_, false, fields, i) << i;
+        for (met &= reached; met; met &= met - 1) {
+            const int i = std::countr_zero(met);
+            if (isFine(*groups[i / 4], i % 4)) return true;
+            push(groups[i / 4]->children[i % 4], groups[i / 4]->childGroups[i % 4]);
+        }
+        return false;
+    }
+
+    [[nodiscard]] bool isFine(const PatchGroup& g, int i) const {
+        const float most = g.high[i] - hull_.wLow;
+        const float u =
+            hull_.uHigh - hull_.uLow + most * (hull_.slopeHighU - hull_.slopeLowU);
+        const float v =
+            hull_.vHigh - hull_.vLow + most * (hull_.slopeHighV - hull_.slopeLowV);
+        return g.childGroups[i] == 0 ||
+               std::max(g.halfU[i], g.halfV[i]) <= std::max(u, v);
+    }
+
+    static constexpr int kMostLooks = 16, kSize = 128;
+    const PatchTree& tree_;
+    const RayHull& hull_;
+    std::uint32_t stack_[kSize];
+    int waiting_ = 0;
+    bool full_ = false;
+};
+
+bool mayMeet(const PatchTree& tree, const RayHull& hull) {
+    return Glance(tree, hull).run();
 }
 
 }  // namespace mtsm::trace::HWY_NAMESPACE
@@ -532,9 +618,14 @@ HWY_AFTER_NAMESPACE();
 namespace mtsm::trace {
 
 HWY_EXPORT(tracePatches);
+HWY_EXPORT(mayMeet);
 
 void tracePatches(const PatchTree& tree, RayBundle& bundle) noexcept {
     HWY_DYNAMIC_DISPATCH(tracePatches)(tree, bundle);
+}
+
+bool mayMeet(const PatchTree& tree, const RayHull& hull) noexcept {
+    return HWY_DYNAMIC_DISPATCH(mayMeet)(tree, hull);
 }
 
 }  // namespace mtsm::trace

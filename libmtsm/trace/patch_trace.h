@@ -10,4 +10,8 @@ namespace mtsm::trace {
 /// Nothing is allocated.
 void tracePatches(const PatchTree& tree, RayBundle& bundle) noexcept;
 
+/// May any ray of the hull meet a patch? Where that is not soon found out, it may.
+/// Nothing is allocated.
+[[nodiscard]] bool mayMeet(const PatchTree& tree, const RayHull& hull) noexcept;
+
 }  // namespace mtsm::trace

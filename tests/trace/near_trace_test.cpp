@@ -237,6 +237,46 @@ TEST_CASE("rays are blocked by the triangles that brute force finds", "[trace][t
     CHECK(found.close < (found.hit + found.missed) / 5);
 }
 
+TEST_CASE("a hull that meets no triangle lies beside all of them", "[trace][twin]") {
+    Random random(8);
+    int free = 0, met = 0;
+    for (const int count : {1, 40, 900}) {
+        const std::vector<Triangle> triangles = scattered(random, count, 2.0);
+        const ShadowMap map = mapOfTriangles(triangles);
+        for (int i = 0; i < 400; ++i) {
+            const double size = std::exp2(random.in(-4, 3));
+            const glm::dvec3 from(random.in(0, 64), random.in(0, 64),
+                                  random.in(0.008, 0.02));
+            const glm::dvec3 to = from + glm::dvec3(size, size, 0x1p-10);
+            const double rise = std::exp2(random.in(-14, -7));
+            const double slopes[4] = {random.in(-900, 0), random.in(0, 900),
+                                      random.in(-900, -300), random.in(-300, 0)};
+            const trace::RayHull hull{
+                float(from.x),    float(to.x),      float(from.y),    float(to.y),
+                float(from.z),    float(to.z),      float(slopes[0]), float(slopes[1]),
+                float(slopes[2]), float(slopes[3]), float(from.z)};
+            // Corners of triangles that lie within reach of a ray.
+            bool inside = false;
+            for (const Triangle& t : triangles) {
+                for (const glm::dvec3& p : t) {
+                    const double dw = std::min(p.z - from.z, rise);
+                    inside = inside || (p.z >= from.z && p.z <= to.z + rise &&
+                                        p.x >= from.x + slopes[0] * dw &&
+                                        p.x <= to.x + slopes[1] * dw &&
+                                        p.y >= from.y + slopes[2] * dw && p.y <= to.y);
+                }
+            }
+            const bool may = trace::mayMeet(map.nearField(0), hull, float(rise));
+            if (inside) CHECK(may);
+            ++(may ? met : free);
+        }
+    }
+    CHECK(free > 200);
+    CHECK(met > 200);
+    const trace::RayHull hull{0, 64, 0, 64, 0.01f, 0.02f, -9, 9, -9, 9, 0.01f};
+    CHECK_FALSE(trace::mayMeet(mapOfTriangles({}).nearField(0), hull, 1.0f));
+}
+
 TEST_CASE("no ray slips through a mesh, along its edges and through its corners",
           "[trace][exact]") {
     // A bumpy sheet of 24 x 24 quads, and a fan of slivers around one corner.

@@ -419,6 +419,43 @@ TEST_CASE("processors differ in no more than rounding", "[trace][twin]") {
     });
 }
 
+TEST_CASE("a hull that meets nothing has no rays that are blocked", "[trace][twin]") {
+    Islands islands(9);
+    int free = 0, met = 0;
+    for (int layers = 1; layers <= 3; ++layers) {
+        const PatchTree tree = treeOf(islands.map(layers));
+        for (int round = 0; round < 1500; ++round) {
+            const double reach = std::exp2(islands.random.in(-3, 4));
+            const Rays rays = raysUp(islands.random, 6, 2, reach);
+            const trace::RayBundle& b = rays.bundle;
+            trace::RayHull hull{
+                b.u[0], b.u[0],         b.v[0],          b.v[0],         b.w[0],
+                b.w[0], b.slopeLowU[0], b.slopeHighU[0], b.slopeLowV[0], b.slopeHighV[0],
+                0.0f};
+            for (int i = 1; i < 6; ++i) {
+                hull.uLow = std::min(hull.uLow, b.u[i]);
+                hull.uHigh = std::max(hull.uHigh, b.u[i]);
+                hull.vLow = std::min(hull.vLow, b.v[i]);
+                hull.vHigh = std::max(hull.vHigh, b.v[i]);
+                hull.wLow = std::min(hull.wLow, b.w[i]);
+                hull.wHigh = std::max(hull.wHigh, b.w[i]);
+                hull.slopeLowU = std::min(hull.slopeLowU, b.slopeLowU[i]);
+                hull.slopeHighU = std::max(hull.slopeHighU, b.slopeHighU[i]);
+                hull.slopeLowV = std::min(hull.slopeLowV, b.slopeLowV[i]);
+                hull.slopeHighV = std::max(hull.slopeHighV, b.slopeHighV[i]);
+            }
+            hull.wFirst = hull.wLow;
+            const bool blocked =
+                bitsIn(openOf(traced(tree, rays))) < bitsIn(openOf(rays));
+            const bool may = trace::mayMeet(tree, hull);
+            if (blocked) CHECK(may);
+            ++(may ? met : free);
+        }
+    }
+    CHECK(free > 300);
+    CHECK(met > 300);
+}
+
 TEST_CASE("what does not rise above a tangent plane does not block", "[trace][exact]") {
     const Wall wall = walls()[0];
     const PatchTree tree = treeOf(wall.map());
