@@ -27,6 +27,15 @@ constexpr double kNearHeight = 0.01;
 /// Without normals: rays start this much nearer to the receiver.
 constexpr double kNearStart = 0.1;
 
+/// More where the light is so far away that floats tell no such heights apart: a receiver
+/// is rounded to one of them, and its own triangles' corners as well.
+double nearHeightOf(const ShadowMap& map) noexcept {
+    constexpr double kRoundings = 8.0;
+    const double z = std::abs(map.zRange(0).max);
+    return std::max(kNearHeight,
+                    kRoundings * 0x1p-24 * z / map.projection(0).pixelFootprint(z));
+}
+
 LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
                  const ShadowOptions& options, bool normals,
                  std::optional<std::uint32_t> onlyKey) {
@@ -41,7 +50,7 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
     setting.height = kPlaneHeight;
     if (!map.nearField(0).empty()) {
         setting.nearDepth = kNearDepth;
-        setting.nearHeight = kNearHeight;
+        setting.nearHeight = nearHeightOf(map);
         setting.nearStart = kNearStart;
     }
     setting.media = !map.isOpaque();
@@ -115,7 +124,7 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
     axisX_ = turn(seen.x), axisY_ = turn(seen.y), axisZ_ = turn(seen.z);
     base_ = turn(seen.base);
     capHeight_ = seen.capHeight;
-    nearHeight_ = float(kNearHeight * projection_.pixelFootprint(1.0));
+    nearHeight_ = float(nearHeightOf(map) * projection_.pixelFootprint(1.0));
     if (!seen.endless) centre_ = projection_.lightFromWorld(light_.centre());
 }
 

@@ -40,13 +40,16 @@ constexpr std::uint64_t kMostNearField = std::uint64_t(1) << 30;
 
 /// The share of an error that samples get in any case.
 constexpr float kSamplesShare = 1.0f / 3;
+/// And of that, what they are planned to use: a part of the points tells no more of all.
+constexpr float kCareful = 0.85f;
 
 /// A part of a batch that stands for all of it: runs of neighbours, spread evenly.
 class Pilot {
   public:
     Pilot(const glm::dvec3* points, const glm::dvec3* normals, std::size_t count) {
-        constexpr std::size_t kRun = 16, kRuns = 64;
-        const std::size_t runs = std::min(kRuns, (count + kRun - 1) / kRun);
+        constexpr std::size_t kRun = 16, kFewest = 32, kMost = 64;
+        const std::size_t all = (count + kRun - 1) / kRun;
+        const std::size_t runs = std::min(all, std::clamp(all / 8, kFewest, kMost));
         for (std::size_t r = 0; r < runs; ++r) {
             const std::size_t first = runs > 1 ? r * (count - kRun) / (runs - 1) : 0;
             for (std::size_t i = first; i < std::min(count, first + kRun); ++i) {
@@ -76,11 +79,13 @@ class Pilot {
     std::vector<glm::dvec3> points_, normals_;
 };
 
+/// Four times as many samples make an error along an edge 2.8 times smaller; where
+/// blockers are finer, 2.
+constexpr float kShrinks = 2.4f;
+
 /// The mean of what errors come to where points take more samples, from `first` up to
-/// `most`, until they are below `bound`. Four times as many make an error along an edge
-/// 2.8 times smaller; where blockers are finer, 2.
+/// `most`, until they are below `bound`.
 double meanBelow(const std::vector<float>& errors, float bound, int first, int most) {
-    constexpr float kShrinks = 2.4f;
     double sum = 0.0;
     for (float error : errors) {
         for (int n = first; error > bound && n < most; n *= 4)
@@ -100,6 +105,15 @@ float boundFor(const std::vector<float>& errors, float budget, int first, int mo
         (meanBelow(errors, middle, first, most) <= budget ? low : high) = middle;
     }
     return low;
+}
+
+/// Samples that the worst of these points takes. (What is never taken need not be made.)
+int mostFor(const std::vector<float>& errors, float bound, int first, int most) {
+    int n = first;
+    for (float error = *std::max_element(errors.begin(), errors.end());
+         error > bound && n < most; n *= 4)
+        error /= kShrinks;
+    return std::min(n, most);
 }
 
 }  // namespace
@@ -188,11 +202,12 @@ QueryPlan planQueries(const ShadowMap& map, const AreaLight& light,
         errors = &more.errors;
         unseen *= 0.25;
     }
-    const int first = plan.options.firstSamples, most = plan.options.samples;
-    const float bound = boundFor(*errors, float(budget - unseen), first, most);
-    plan.options.targetError = bound > 0.0f ? bound : 1e-5f;
-    plan.sampleError =
-        float(unseen + meanBelow(*errors, plan.options.targetError, first, most));
+    const int first = plan.options.firstSamples, most = options.samples;
+    const float bound = std::max(
+        1e-5f, boundFor(*errors, float(kCareful * budget - unseen), first, most));
+    plan.options.targetError = bound;
+    plan.options.samples = mostFor(*errors, bound, first, most);
+    plan.sampleError = float(unseen + meanBelow(*errors, bound, first, most));
     plan.reached = plan.sampleError + plan.mapError <= 1.0001f * meanError;
     return plan;
 }

@@ -79,7 +79,7 @@ struct QueryPlan {
 };
 
 /// The cheapest options with which the mean error over these points is expected to be
-/// `meanError`, at most options.samples at a point. Asks for up to 1024 of the points,
+/// `meanError`, at most options.samples at a point. Asks for 512 to 1024 of the points,
 /// spread over the batch, with 16 and with 64 samples; the other options are taken as
 /// they are. `normals` may be null.
 [[nodiscard]] QueryPlan planQueries(const ShadowMap& map, const AreaLight& light,
