@@ -18,7 +18,7 @@ struct KindError {
 KindError errorOf(MapKind kind) noexcept {
     switch (kind) {
         case MapKind::nearField:
-            return {0.0006f, 0.2f};
+            return {0.0009f, 0.1f};
         case MapKind::volume:
             return {0.001f, 0.5f};
         case MapKind::sheets:
@@ -26,12 +26,15 @@ KindError errorOf(MapKind kind) noexcept {
         case MapKind::surfaces:
             return {0.011f, 0.7f};
         default:
-            return {0.011f, 0.65f};
+            return {0.018f, 0.65f};
     }
 }
 
 constexpr std::uint32_t kResolutions[] = {512, 1024, 2048, 4096};
-constexpr std::uint32_t kMostOfLayers = 2048;  // of casters with many layers a pixel
+/// Beyond this maps of a kind were no better, or too large.
+std::uint32_t mostFor(MapKind kind) noexcept {
+    return kind == MapKind::nearField ? 1024 : kind == MapKind::surfaces ? 4096 : 2048;
+}
 
 /// Bytes that a triangle of a near field takes, a little more than it does.
 constexpr std::uint64_t kTriangleBytes = 24;
@@ -39,9 +42,10 @@ constexpr std::uint64_t kUsualNearField = std::uint64_t(64) << 20;
 constexpr std::uint64_t kMostNearField = std::uint64_t(1) << 30;
 
 /// The share of an error that samples get in any case.
-constexpr float kSamplesShare = 1.0f / 3;
-/// And of that, what they are planned to use: a part of the points tells no more of all.
-constexpr float kCareful = 0.85f;
+constexpr float kSamplesShare = 0.5f;
+/// And of what they get, what they are planned to use: points that stop are more often
+/// those whose error was told too small, and a part of them tells no more of all.
+constexpr float kCareful = 0.7f;
 
 /// A part of a batch that stands for all of it: runs of neighbours, spread evenly.
 class Pilot {
@@ -161,11 +165,9 @@ MapSettings mapSettingsFor(const CasterMeasures& casters, float meanError) noexc
                         : casters.triangles ? MapKind::sheets
                                             : MapKind::volume;
     }
-    const bool layers =
-        settings.kind != MapKind::nearField && settings.kind != MapKind::surfaces;
     const float budget = meanError * (1.0f - kSamplesShare);
     for (const std::uint32_t resolution : kResolutions) {
-        if (layers && resolution > kMostOfLayers) break;
+        if (resolution > mostFor(settings.kind)) break;
         settings.resolution = resolution;
         settings.error = mapError(settings.kind, resolution);
         settings.reached = settings.error <= budget;

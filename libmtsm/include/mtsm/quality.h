@@ -65,7 +65,8 @@ struct MapSettings {
 };
 
 /// The smallest map that leaves samples a part of `meanError`; if there is none, the
-/// largest that is tried (4096, of what lets light through 2048).
+/// largest that was found to be of use: 1024 beside a near field, 2048 of what lets light
+/// through, else 4096.
 [[nodiscard]] MapSettings mapSettingsFor(const CasterMeasures& casters,
                                          float meanError) noexcept;
 
