@@ -531,8 +531,8 @@ void checkQuality(const Arguments& a, const Baked& baked, Talk& talk) {
         talk.say(text);
     else
         talk.warn(text + ", more than the " + errorText(asked) +
-                  " asked for: no map of such casters is known to do better; raise "
-                  "--resolution, and see mtsm-compare for your scene");
+                  " asked for: the casters may be too thin; raise --resolution, or hold "
+                  "it against the truth with mtsm-compare");
 }
 
 /// Those of the counts that are not zero, with commas between.

@@ -18,7 +18,7 @@ struct KindError {
 KindError errorOf(MapKind kind) noexcept {
     switch (kind) {
         case MapKind::nearField:
-            return {0.0009f, 0.1f};
+            return {0.0017f, 0.6f};
         case MapKind::volume:
             return {0.001f, 0.5f};
         case MapKind::sheets:
@@ -31,9 +31,9 @@ KindError errorOf(MapKind kind) noexcept {
 }
 
 constexpr std::uint32_t kResolutions[] = {512, 1024, 2048, 4096};
-/// Beyond this maps of a kind were no better, or too large.
+/// Beyond this maps of a kind were little better, or too large.
 std::uint32_t mostFor(MapKind kind) noexcept {
-    return kind == MapKind::nearField ? 1024 : kind == MapKind::surfaces ? 4096 : 2048;
+    return kind == MapKind::surfaces ? 4096 : 2048;
 }
 
 /// Bytes that a triangle of a near field takes, a little more than it does.

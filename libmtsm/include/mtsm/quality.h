@@ -65,8 +65,8 @@ struct MapSettings {
 };
 
 /// The smallest map that leaves samples a part of `meanError`; if there is none, the
-/// largest that was found to be of use: 1024 beside a near field, 2048 of what lets light
-/// through, else 4096.
+/// largest that was found to be of use: 4096 of opaque casters without a near field, else
+/// 2048.
 [[nodiscard]] MapSettings mapSettingsFor(const CasterMeasures& casters,
                                          float meanError) noexcept;
 
