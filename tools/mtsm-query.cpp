@@ -180,7 +180,9 @@ void addOptions(CLI::App& app, Arguments& a) {
         ->group("Query");
     addNumber(app, "--bias", a.bias, {0.0, kAny}, "Z",
               "depth within which a layer is met, world units\n"
-              "(default: the map's)")
+              "(default: the map's); of opaque maps only with\n"
+              "--method scalar and for where rays start without\n"
+              "normals")
         ->group("Query");
     addNumber(app, "--threshold", a.threshold, {0.0, 1.0, true}, "V",
               "a ray with less visibility left is dark, 0 to\n"
@@ -192,8 +194,9 @@ void addOptions(CLI::App& app, Arguments& a) {
         ->group("Query");
     addChoice(app, "--method", a.method, {"trace", "scalar", "pcf"},
               "rays through the map; the same ray by ray, as the\n"
-              "paper does, slow; or percentage-closer filtering,\n"
-              "for small lights (default: trace)")
+              "paper does, slow and without the near field; or\n"
+              "percentage-closer filtering, for small lights\n"
+              "(default: trace)")
         ->group("Query");
     addChoice(app, "--weight", a.weight, {"uniform", "cosine"},
               "plain mean over the light, or the ratio of\n"

@@ -4,9 +4,11 @@
 #include <bit>
 #include <cmath>
 #include <glm/common.hpp>
+#include <glm/geometric.hpp>
 #include <glm/matrix.hpp>
 
 #include "base/sampling.h"
+#include "shadow/map_faces.h"
 #include "trace/density_trace.h"
 #include "trace/near_trace.h"
 #include "trace/patch_trace.h"
@@ -14,15 +16,9 @@
 namespace mtsm::shadow {
 namespace {
 
-/// Trees count in 32 bits.
-constexpr std::uint64_t kMostLayers = std::uint64_t(1) << 28;
-
-// Measured (tests/bench/NOTES.md): twice the depth halves the error next to receivers and
-// costs little; lower planes leave acne, higher ones lose contact.
-/// The near field answers for so many pixel footprints of depth.
-constexpr double kNearDepth = 32.0;
-/// Its triangles are the receiver's own no higher than this above its tangent plane, in
-/// pixel footprints: they lie on a grid of 1/256 of one, mostly.
+// Measured (tests/bench/NOTES.md): lower planes leave acne, higher ones lose contact.
+/// Triangles of the near field are the receiver's own no higher than this above its
+/// tangent plane, in pixel footprints: they lie on a grid of 1/256 of one, mostly.
 constexpr double kNearHeight = 0.01;
 /// Without normals: rays start this much nearer to the receiver.
 constexpr double kNearStart = 0.1;
@@ -31,14 +27,19 @@ constexpr double kNearStart = 0.1;
 /// is rounded to one of them, and its own triangles' corners as well.
 double nearHeightOf(const ShadowMap& map) noexcept {
     constexpr double kRoundings = 8.0;
-    const double z = std::abs(map.zRange(0).max);
-    return std::max(kNearHeight,
-                    kRoundings * 0x1p-24 * z / map.projection(0).pixelFootprint(z));
+    double height = kNearHeight;
+    for (std::uint32_t f = 0; f < map.faceCount(); ++f) {
+        if (map.zRange(f).empty()) continue;
+        const double z = std::abs(map.zRange(f).max);
+        height = std::max(height,
+                          kRoundings * 0x1p-24 * z / map.projection(f).pixelFootprint(z));
+    }
+    return height;
 }
 
-LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
-                 const ShadowOptions& options, bool normals,
-                 std::optional<std::uint32_t> onlyKey) {
+LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& light,
+                             const ShadowOptions& options, bool nearField, bool normals,
+                             std::optional<std::uint32_t> onlyKey) {
     LightRays::Setting setting;
     setting.seed = options.seed;
     setting.onlyKey = onlyKey;
@@ -48,7 +49,7 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
     setting.normals = normals;
     setting.weights = normals && options.weight == Weight::cosine;
     setting.height = kPlaneHeight;
-    if (!map.nearField(0).empty()) {
+    if (nearField) {
         setting.nearDepth = kNearDepth;
         setting.nearHeight = nearHeightOf(map);
         setting.nearStart = kNearStart;
@@ -56,15 +57,9 @@ LightRays raysOf(const ShadowMap& map, const light::LightSampler& light,
     setting.media = !map.isOpaque();
     setting.sheets = map.info().translucent == Translucent::sheets;
     setting.steps = SampleSteps::of(options, setting.samples);
-    // Sheets are met within two biases.
-    ZRange depths = map.zRange(0);
-    const trace::ZBias bias = biasOf(map, options.bias);
-    const bool perspective = map.projection(0).kind == ProjectionKind::perspective;
-    const auto nearest = float(depths.min - 2.0 * bias.at(depths.min));
-    depths.min = perspective ? std::max(nearest, depths.min * 0x1p-10f) : nearest;
-    depths.max += float(2.0 * bias.at(depths.max));
-    return LightRays(map.projection(0), map.info().width, map.info().height, depths,
-                     light, setting);
+    setting.joined = map.faceCount() > 1;
+    setting.ways = setting.joined && setting.media;
+    return setting;
 }
 
 /// Of rays in the order of their samples: which of those that there are see light.
@@ -85,47 +80,171 @@ float sum(std::uint32_t rays, const float* weights) {
 
 }  // namespace
 
-bool BundleQuery::serves(const ShadowMap& map, const ShadowOptions& options) noexcept {
-    if (options.method != ShadowMethod::trace || map.faceCount() != 1 ||
-        map.layerCount() == 0 || map.layerCount() > kMostLayers)
-        return false;
-    if (map.isOpaque()) return true;
-    return options.attenuation == Attenuation::multiply && trace::densityTree(map);
+bool BundleQuery::serves(const ShadowMap& map, const AreaLight& light,
+                         const ShadowOptions& options) {
+    if (options.method != ShadowMethod::trace) return false;
+    if (map.faceCount() > 1 && light.shape == LightShape::sun) return false;
+    return hasTrees(map, options.attenuation);
+}
+
+BundleQuery::Face::Face(const ShadowMap& map, std::uint32_t number, ZRange reach,
+                        const light::LightSampler& light)
+    : projection(map.projection(number)),
+      turn(glm::transpose(
+          glm::dmat3(projection.right, projection.up, projection.forward))),
+      depths(reach),
+      places(map, number, reach, light),
+      outline(projection, light),
+      nearHeight(float(nearHeightOf(map) * projection.pixelFootprint(1.0))),
+      nearField(map.nearField(number)),
+      empty(map.zRange(number).empty()),
+      nearest(LightRays::nearestOf(projection, reach)) {
+    if (map.isOpaque())
+        patches = &(*trace::patchTrees(map))[number];
+    else
+        density = &(*trace::densityTrees(map))[number];
+    const light::LightView seen = light.view(projection.eye + projection.forward);
+    axisX = turn * seen.x, axisY = turn * seen.y, axisZ = turn * seen.z;
+    base = turn * seen.base;
+    if (seen.endless) return;
+    centre = projection.lightFromWorld(light.centre());
+    // Of a cap all of the sphere.
+    const double size = std::abs(axisX.z) + std::abs(axisY.z) + std::abs(axisZ.z);
+    const bool cap = seen.domain == light::LightView::Domain::cap;
+    const double half = cap ? glm::length(axisZ) : size;
+    lightLow = centre.z - half, lightHigh = centre.z + half;
 }
 
 BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
                          const ShadowOptions& options, bool errors, const Receiver* only)
     : map_(map),
-      projection_(map.projection(0)),
       light_(light),
-      outline_(projection_, light_),
-      places_(map, light_),
       options_(options),
       bias_(biasOf(map, options.bias)),
-      patches_(map.isOpaque() ? &trace::patchTrees(map)[0] : nullptr),
-      density_(map.isOpaque() ? nullptr : trace::densityTree(map)),
+      opaque_(map.isOpaque()),
       media_(map.info().translucent == Translucent::media),
       samples_(light_.isPoint()
                    ? 1u
                    : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples))),
       steps_(SampleSteps::of(options, samples_)),
       errors_(errors || options.targetError > 0.0f) {
-    std::optional<std::uint32_t> key;
-    if (only) key = keyOf(*only);
-    if (!only || only->normal != glm::dvec3(0.0))
-        withNormals_.emplace(raysOf(map, light_, options, true, key));
-    if (!only || only->normal == glm::dvec3(0.0))
-        without_.emplace(raysOf(map, light_, options, false, key));
-    const light::LightView seen = light_.view(projection_.eye + projection_.forward);
+    const light::LightView seen =
+        light_.view(map.projection(0).eye + map.projection(0).forward);
     fixedAxes_ = seen.endless || seen.domain != light::LightView::Domain::cap;
-    turn_ = glm::transpose(
-        glm::dmat3(projection_.right, projection_.up, projection_.forward));
-    const auto turn = [&](glm::dvec3 d) { return turned(d); };
-    axisX_ = turn(seen.x), axisY_ = turn(seen.y), axisZ_ = turn(seen.z);
-    base_ = turn(seen.base);
     capHeight_ = seen.capHeight;
-    nearHeight_ = float(nearHeightOf(map) * projection_.pixelFootprint(1.0));
-    if (!seen.endless) centre_ = projection_.lightFromWorld(light_.centre());
+    faces_.reserve(map.faceCount());
+    for (std::uint32_t f = 0; f < map.faceCount(); ++f)
+        faces_.emplace_back(map, f, depthsOf(map, f, options.bias), light_);
+    std::optional<std::uint32_t> key;
+    std::uint32_t met = (1u << map.faceCount()) - 1;
+    if (only) {
+        key = keyOf(*only);
+        if (faces_.size() > 1) met = facesMet(faceOf(only->point), only->point);
+    }
+    for (std::uint32_t f = 0; f < faces_.size(); ++f) {
+        if (!(met >> f & 1)) continue;
+        if (!only || only->normal != glm::dvec3(0.0)) addRays(faces_[f], true, key);
+        if (!only || only->normal == glm::dvec3(0.0)) addRays(faces_[f], false, key);
+    }
+}
+
+void BundleQuery::addRays(Face& face, bool normals,
+                          std::optional<std::uint32_t> onlyKey) {
+    const LightRays* alike = nullptr;
+    for (const Face& other : faces_) {
+        for (const std::optional<LightRays>* rays :
+             {&other.withNormals, &other.without}) {
+            if (*rays) alike = &**rays;
+        }
+    }
+    (normals ? face.withNormals : face.without)
+        .emplace(
+            face.projection, map_.info().width, map_.info().height, face.depths, light_,
+            settingOf(map_, light_, options_, !face.nearField.empty(), normals, onlyKey),
+            alike);
+}
+
+/// One bit for each face: may rays from the point to the light meet something there?
+/// Always its own.
+std::uint32_t BundleQuery::facesMet(std::uint32_t home, glm::dvec3 point) const noexcept {
+    const glm::dvec3 p = point - faces_[0].projection.eye;
+    double z[6];
+    for (std::uint32_t f = 0; f < 6; ++f)
+        z[f] = glm::dot(faces_[f].projection.forward, p);
+    const double slack = 1e-6 * z[home];
+    std::uint32_t met = 1u << home;
+    for (std::uint32_t f = 0; f < 6; ++f) {
+        const Face& face = faces_[f];
+        const double nearest = face.nearest * (1.0 - 1e-6);
+        if (f == home || face.empty) continue;
+        if (face.lightHigh >= nearest) {
+            met |= 1u << f;
+            continue;
+        }
+        if (z[f] < nearest) continue;
+        // All that rays have in front of the nearest depth lies between the point and
+        // where they come to that, t of their way. The point there at which face g is
+        // furthest behind this one must be in it.
+        const double t0 = (z[f] - nearest) / (z[f] - face.lightLow);
+        const double t1 = (z[f] - nearest) / (z[f] - face.lightHigh);
+        bool may = true;
+        for (std::uint32_t g = 0; g < 6; ++g) {
+            if (g == f ||
+                glm::dot(face.projection.forward, faces_[g].projection.forward) < -0.5)
+                continue;
+            const double low = z[g] + std::min(t0 * (faces_[g].lightLow - z[g]),
+                                               t1 * (faces_[g].lightLow - z[g]));
+            may = may && std::max(nearest - low, z[f] - z[g]) >= -slack;
+        }
+        if (may) met |= 1u << f;
+    }
+    return met;
+}
+
+void BundleQuery::findPlaces(const glm::dvec3* points, int count,
+                             std::uint32_t* places) const noexcept {
+    if (faces_.size() == 1) return faces_[0].places.find(points, count, places);
+    constexpr int kAtOnce = ReceiverPlaces::kAtOnce;
+    std::uint32_t home[kAtOnce], met[kAtOnce];
+    for (int i = 0; i < count; ++i) {
+        home[i] = faceOf(points[i]);
+        met[i] = 1u << home[i];
+    }
+    // In its own face first, then in each that it meets besides.
+    const auto ask = [&](std::uint32_t face, const auto& concerns, const auto& take) {
+        glm::dvec3 some[kAtOnce];
+        int from[kAtOnce], size = 0;
+        for (int i = 0; i < count; ++i) {
+            if (!concerns(i)) continue;
+            some[size] = points[i];
+            from[size++] = i;
+        }
+        std::uint32_t found[kAtOnce];
+        if (size > 0) faces_[face].places.find(some, size, found);
+        for (int k = 0; k < size; ++k)
+            take(from[k], found[k]);
+    };
+    for (std::uint32_t f = 0; f < 6; ++f) {
+        ask(
+            f, [&](int i) { return home[i] == f; },
+            [&](int i, std::uint32_t found) { places[i] = found; });
+    }
+    std::uint32_t any = 0;
+    for (int i = 0; i < count; ++i) {
+        if (places[i] == ReceiverPlaces::kNone) continue;
+        met[i] = facesMet(home[i], points[i]);
+        const bool several = met[i] != 1u << home[i];
+        if (several) any |= met[i];
+        places[i] = places[i] >> 4 | std::uint32_t(several) << 26 | home[i] << 27;
+    }
+    for (std::uint32_t f = 0; f < 6; ++f) {
+        if (!(any >> f & 1)) continue;
+        ask(
+            f, [&](int i) { return home[i] != f && (met[i] >> f & 1); },
+            [&](int i, std::uint32_t found) {
+                if (found == ReceiverPlaces::kNone) places[i] = found;
+            });
+    }
 }
 
 std::uint32_t BundleQuery::keyOf(const Receiver& receiver) const noexcept {
@@ -136,21 +255,29 @@ std::uint32_t BundleQuery::keyOf(const Receiver& receiver) const noexcept {
     return std::uint32_t(base::mix(key) >> 16);
 }
 
-void BundleQuery::setLane(const Receiver& receiver, int lane,
+ReceiverLanes BundleQuery::lanesOf(const Face& face, const Receiver* receivers,
+                                   int count) const noexcept {
+    ReceiverLanes lanes;
+    lanes.count = count;
+    for (int i = 0; i < trace::kMostReceivers; ++i)
+        setLane(face, receivers[i < count ? i : 0], i, lanes);
+    return lanes;
+}
+
+void BundleQuery::setLane(const Face& face, const Receiver& receiver, int lane,
                           ReceiverLanes& lanes) const noexcept {
-    const glm::dvec3 p = turned(receiver.point - projection_.eye);
+    const glm::dvec3 p = face.turn * (receiver.point - face.projection.eye);
     const auto set = [lane](ReceiverLanes::Lanes& x, ReceiverLanes::Lanes& y,
                             ReceiverLanes::Lanes& z, glm::dvec3 v) {
         x[lane] = float(v.x), y[lane] = float(v.y), z[lane] = float(v.z);
     };
-    glm::dvec3 base = light_.shape() == LightShape::sun ? base_ : centre_ - p;
-    glm::dvec3 x = axisX_, y = axisY_, z = axisZ_;
+    glm::dvec3 base = light_.shape() == LightShape::sun ? face.base : face.centre - p;
+    glm::dvec3 x = face.axisX, y = face.axisY, z = face.axisZ;
     double capHeight = capHeight_;
     if (!fixedAxes_) {
         const light::LightView seen = light_.view(receiver.point);
-        const auto turn = [&](glm::dvec3 d) { return turned(d); };
-        base = turn(seen.base);
-        x = turn(seen.x), y = turn(seen.y), z = turn(seen.z);
+        base = face.turn * seen.base;
+        x = face.turn * seen.x, y = face.turn * seen.y, z = face.turn * seen.z;
         capHeight = seen.capHeight;
     }
     set(lanes.x, lanes.y, lanes.z, p);
@@ -162,37 +289,146 @@ void BundleQuery::setLane(const Receiver& receiver, int lane,
     glm::dvec3 normal = receiver.normal;
     const double longest =
         std::max({std::abs(normal.x), std::abs(normal.y), std::abs(normal.z)});
-    if (longest > 0.0) normal = turned(normal / longest);
+    if (longest > 0.0) normal = face.turn * (normal / longest);
     set(lanes.normalX, lanes.normalY, lanes.normalZ, normal);
     lanes.capHeight[lane] = float(capHeight);
-    lanes.surfaceStart[lane] = float(kStartBiases * bias_.at(p.z));
+    // Its own face's depth, which is the largest, says how far rays start from it.
+    const double depth = faces_.size() == 1
+                             ? std::abs(p.z)
+                             : std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
+    lanes.surfaceStart[lane] = float(kStartBiases * bias_.at(depth));
     lanes.mediaStart[lane] =
-        media_ ? float(kMediaStart * projection_.pixelFootprint(std::abs(p.z)))
+        media_ ? float(kMediaStart * face.projection.pixelFootprint(depth))
                : lanes.surfaceStart[lane];
     lanes.key[lane] = keyOf(receiver);
 }
 
-/// What is close to the receivers, as exactly as the casters were given; leaves the
-/// bundle with the layers' part of the rays.
-void BundleQuery::traceNear(trace::RayBundle& bundle,
-                            const RayFates& fates) const noexcept {
-    trace::traceNear(map_.nearField(0), bundle, fates.nearEnd, nearHeight_);
-    for (int row = 0; row < bundle.receivers * bundle.groups; ++row)
-        std::copy_n(fates.layersBegin[row], trace::kLanes, bundle.begin[row]);
+trace::DensityTraceOptions BundleQuery::densityOptions() const noexcept {
+    trace::DensityTraceOptions options;
+    options.bias = bias_;
+    const double threshold = thresholdOf(options_.threshold);
+    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
+    return options;
 }
 
-/// Adds what the bundle's rays leave of the light. `valid` [row]: the rays that there
-/// are.
-void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
-                         const std::uint16_t* valid, bool weights,
-                         Sums* sums) const noexcept {
-    const int rows = bundle.receivers * bundle.groups;
-    if (patches_) {
-        if (!map_.nearField(0).empty()) traceNear(bundle, fates);
-        trace::tracePatches(*patches_, bundle);
+/// What is close to the receivers, as exactly as the casters were given; leaves the
+/// bundle with the layers' part of the rays.
+void BundleQuery::traceNear(const Face& face, Rays& rays) const noexcept {
+    trace::traceNear(face.nearField, rays.bundle, rays.fates.nearEnd, face.nearHeight);
+    for (int row = 0; row < rays.bundle.receivers * rays.bundle.groups; ++row)
+        std::copy_n(rays.fates.layersBegin[row], trace::kLanes, rays.bundle.begin[row]);
+}
+
+/// Follows the open rays: blocked ones are closed, others have more depth.
+void BundleQuery::follow(const Face& face, Rays& rays) const noexcept {
+    if (opaque_) {
+        if (!face.nearField.empty()) traceNear(face, rays);
+        trace::tracePatches(*face.patches, rays.bundle);
+        return;
+    }
+    trace::traceDensity(*face.density, densityOptions(), rays.bundle, rays.depths);
+}
+
+/// The same in the other faces that rays meet. `met` [receiver]: faces, one bit each.
+void BundleQuery::followBeyond(std::uint32_t home, const Receiver* receivers, int count,
+                               const std::uint32_t* met, int firstGroup,
+                               Rays& rays) const noexcept {
+    const int groups = rays.bundle.groups;
+    const auto channels = opaque_ ? 0u : map_.info().channels;
+    Rays beyond;
+    for (std::uint32_t f = 0; f < faces_.size(); ++f) {
+        Receiver some[trace::kMostReceivers];
+        int from[trace::kMostReceivers], size = 0;
+        for (int i = 0; i < count; ++i) {
+            if (f == home || !(met[i] >> f & 1)) continue;
+            some[size] = receivers[i];
+            from[size++] = i;
+        }
+        if (size == 0) continue;
+        const Face& face = faces_[f];
+        const bool normals = rays.bundle.hasPlanes;
+        (normals ? face.withNormals : face.without)
+            ->fill(lanesOf(face, some, size), firstGroup, groups, beyond.bundle,
+                   beyond.fates);
+        for (int row = 0; row < size * groups; ++row) {
+            const int homeRow = from[row / groups] * groups + row % groups;
+            beyond.bundle.open[row] &=
+                rays.bundle.open[homeRow] | rays.fates.clear[homeRow];
+            if (opaque_) continue;
+            cut(home, f, some[row / groups], rays.fates, homeRow, row, beyond);
+            for (std::uint32_t c = 0; c < channels; ++c)
+                std::copy_n(rays.depths.depth[c][homeRow], trace::kLanes,
+                            beyond.depths.depth[c][row]);
+        }
+        std::copy_n(beyond.bundle.open, size * groups, beyond.followed);
+        follow(face, beyond);
+        for (int row = 0; row < size * groups; ++row) {
+            const int homeRow = from[row / groups] * groups + row % groups;
+            if (!opaque_) {
+                rays.followed[homeRow] |= beyond.followed[row];
+                for (std::uint32_t c = 0; c < channels; ++c)
+                    std::copy_n(beyond.depths.depth[c][row], trace::kLanes,
+                                rays.depths.depth[c][homeRow]);
+            }
+            const auto left =
+                std::uint16_t(~(beyond.followed[row] & ~beyond.bundle.open[row]));
+            rays.bundle.open[homeRow] &= left;
+            rays.fates.clear[homeRow] &= left;
+        }
+    }
+}
+
+/// Cuts a row of rays down to their parts in face number `number`, as those of the home
+/// face have them.
+void BundleQuery::cut(std::uint32_t home, std::uint32_t number, const Receiver& receiver,
+                      const RayFates& homeFates, int homeRow, int row,
+                      Rays& rays) const noexcept {
+    const glm::dmat3 worldFromHome = glm::transpose(faces_[home].turn);
+    const glm::dvec3 start = receiver.point - faces_[0].projection.eye;
+    double z[6];
+    for (std::uint32_t f = 0; f < 6; ++f)
+        z[f] = glm::dot(faces_[f].projection.forward, start);
+    trace::RayBundle& bundle = rays.bundle;
+    for (std::uint32_t rest = bundle.open[row]; rest; rest &= rest - 1) {
+        const int i = std::countr_zero(rest);
+        const glm::dvec3 delta =
+            worldFromHome * glm::dvec3(homeFates.delta[0][homeRow][i],
+                                       homeFates.delta[1][homeRow][i],
+                                       homeFates.delta[2][homeRow][i]);
+        double change[6];
+        for (std::uint32_t f = 0; f < 6; ++f)
+            change[f] = glm::dot(faces_[f].projection.forward, delta);
+        const auto [begin, end] = partIn(number, z, change);
+        const double way = rays.fates.way[row][i];
+        const double last = z[number] + way * change[number];
+        const auto at = [&](double t) {
+            return t / way * (last / (z[number] + t * change[number]));
+        };
+        const double cutTo = end < way ? at(end) : 1.0;
+        const double from = begin > 0.0 ? at(begin) : 0.0;
+        if (!(begin < std::min(end, way)) || !(from < cutTo)) {
+            bundle.open[row] &= std::uint16_t(~(1u << i));
+            rays.fates.clear[row] |= std::uint16_t(1u << i);
+            continue;
+        }
+        if (cutTo < 1.0) {
+            for (float* d : {&bundle.du[row][i], &bundle.dv[row][i], &bundle.dw[row][i]})
+                *d = float(*d * cutTo);
+        }
+        for (float* b : {&bundle.begin[row][i], &bundle.beginSurfaces[row][i]})
+            *b = float(std::max(double(*b), from) / cutTo);
+    }
+}
+
+/// Adds what the rays leave of the light. `valid` [row]: the rays that there are.
+void BundleQuery::addUp(const Rays& rays, const std::uint16_t* valid, bool weights,
+                        Sums* sums) const noexcept {
+    const int rows = rays.bundle.receivers * rays.bundle.groups;
+    const RayFates& fates = rays.fates;
+    if (opaque_) {
         for (int row = 0; row < rows; ++row) {
-            const std::uint32_t left = bundle.open[row] | fates.clear[row];
-            Sums& s = sums[row / bundle.groups];
+            const std::uint32_t left = rays.bundle.open[row] | fates.clear[row];
+            Sums& s = sums[row / rays.bundle.groups];
             s.visible +=
                 weights ? sum(left, fates.weight[row]) : float(std::popcount(left));
             if (left) s.most = 1.0f;
@@ -206,27 +442,18 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
         return;
     }
     const std::uint32_t channels = map_.info().channels;
-    std::uint16_t followed[trace::kMostRows];
-    std::copy_n(bundle.open, rows, followed);
-    trace::RayDepths depths;
-    for (std::uint32_t c = 0; c < channels; ++c)
-        std::fill_n(depths.depth[c][0], std::size_t(rows) * trace::kLanes, 0.0f);
-    trace::DensityTraceOptions options;
-    options.bias = bias_;
-    const double threshold = thresholdOf(options_.threshold);
-    options.darkDepth = threshold > 0.0 ? float(-std::log(threshold)) : trace::kDarkDepth;
-    trace::traceDensity(*density_, options, bundle, depths);
+    const auto threshold = float(thresholdOf(options_.threshold));
     for (int row = 0; row < rows; ++row) {
-        Sums& s = sums[row / bundle.groups];
+        Sums& s = sums[row / rays.bundle.groups];
         float means[trace::kLanes];  // of the channels
         for (std::uint32_t rest = valid[row]; rest; rest &= rest - 1) {
             const int i = std::countr_zero(rest);
             glm::vec3 v(fates.clear[row] >> i & 1 ? 1.0f : 0.0f);
-            if (followed[row] >> i & 1) {
+            if (rays.followed[row] >> i & 1) {
                 for (std::uint32_t c = 0; c < 3; ++c) {
                     const float left =
-                        std::exp(-depths.depth[c < channels ? c : 0][row][i]);
-                    v[int(c)] = left > float(threshold) ? left : 0.0f;
+                        std::exp(-rays.depths.depth[c < channels ? c : 0][row][i]);
+                    v[int(c)] = left > threshold ? left : 0.0f;
                 }
             }
             s.visible += (weights ? fates.weight[row][i] : 1.0f) * v;
@@ -235,39 +462,41 @@ void BundleQuery::follow(trace::RayBundle& bundle, const RayFates& fates,
             means[i] = mean(v, channels);
         }
         if (!errors_) continue;
-        const int rays = std::popcount(valid[row]);
-        for (int i = 0; i < rays; ++i) {
+        const int count = std::popcount(valid[row]);
+        for (int i = 0; i < count; ++i) {
             s.seen.sum += means[i];
             s.seen.squares += means[i] * means[i];
         }
-        for (int i = 0; i < rays; i += kQuad)
-            s.seen.spread += quadSpread(means + i, std::min(kQuad, rays - i));
+        for (int i = 0; i < count; i += kQuad)
+            s.seen.spread += quadSpread(means + i, std::min(kQuad, count - i));
     }
 }
 
 /// Does nothing lie between those that have all of the light above them and it?
-bool BundleQuery::isFree(const Outlook& starts) const noexcept {
-    std::optional<trace::RayHull> hull = outline_.hull(starts);
+bool BundleQuery::isFree(const Face& face, const Outlook& starts) const noexcept {
+    std::optional<trace::RayHull> hull = face.outline.hull(starts, samples_);
     if (!hull) return false;
-    if (!map_.nearField(0).empty()) {
-        const bool perspective = projection_.kind == ProjectionKind::perspective;
+    if (!face.nearField.empty()) {
+        const bool perspective = face.projection.kind == ProjectionKind::perspective;
         const auto depth = [&](float w) {
-            return float(kNearDepth * projection_.pixelFootprint(1.0)) *
+            return float(kNearDepth * face.projection.pixelFootprint(1.0)) *
                    (perspective ? w : 1.0f);
         };
-        if (trace::mayMeet(map_.nearField(0), *hull, depth(hull->wHigh))) return false;
+        if (trace::mayMeet(face.nearField, *hull, depth(hull->wHigh))) return false;
         hull->wFirst += (1.0f - 0x1p-10f) * depth(hull->wLow);
     }
-    return !trace::mayMeet(*patches_, *hull);
+    return face.patches ? !trace::mayMeet(*face.patches, *hull)
+                        : !trace::mayMeet(*face.density, densityOptions(), *hull);
 }
 
 /// Tells of receivers in sixteens, all at once or in fewer and fewer.
-void BundleQuery::findLit(Outlook* outlooks, int count, Glance* told) const noexcept {
+void BundleQuery::findLit(const Face& face, Outlook* outlooks, int count,
+                          Glance* told) const noexcept {
     Outlook all;
     for (int i = 0; i < count; ++i)
         all.include(outlooks[i]);
     if (all.above == 0) return;
-    if (isFree(all)) {
+    if (isFree(face, all)) {
         for (int i = 0; i < count; ++i) {
             for (std::uint32_t rest = outlooks[i].above; rest; rest &= rest - 1)
                 told[i * trace::kMostReceivers + std::countr_zero(rest)] = Glance::lit;
@@ -275,7 +504,7 @@ void BundleQuery::findLit(Outlook* outlooks, int count, Glance* told) const noex
     } else if (count > 1) {
         const int part = (count + 3) / 4;
         for (int first = 0; first < count; first += part)
-            findLit(outlooks + first, std::min(part, count - first),
+            findLit(face, outlooks + first, std::min(part, count - first),
                     told + first * trace::kMostReceivers);
     }
 }
@@ -283,15 +512,20 @@ void BundleQuery::findLit(Outlook* outlooks, int count, Glance* told) const noex
 void BundleQuery::glance(const Receiver* receivers, int count, Glance* told,
                          QueryStats& stats) const noexcept {
     std::fill_n(told, count, Glance::unknown);
+    const std::uint32_t home = faceOf(receivers[0].point);
+    const Face& face = faces_[home];
     Outlook outlooks[kMostGlances / trace::kMostReceivers];
     int parts = 0;
     for (int first = 0; first < count; first += trace::kMostReceivers, ++parts) {
-        outlooks[parts] = outline_.outlook(
+        outlooks[parts] = face.outline.outlook(
             receivers + first, std::min(count - first, trace::kMostReceivers));
         for (std::uint32_t rest = outlooks[parts].below; rest; rest &= rest - 1)
             told[first + std::countr_zero(rest)] = Glance::dark;
     }
-    if (patches_) findLit(outlooks, parts, told);
+    // Nothing lies in other faces either: they are not met.
+    const bool single =
+        faces_.size() == 1 || facesMet(home, receivers[0].point) == 1u << home;
+    if (single) findLit(face, outlooks, parts, told);
     const std::uint32_t rays = steps_.end[0];
     for (int i = 0; i < count; ++i)
         stats.rays += told[i] == Glance::lit ? rays : 0;
@@ -331,35 +565,51 @@ void BundleQuery::look(const Receiver* receivers, int count, int step, Sums* sum
                        QueryStats& stats) const noexcept {
     const bool normals = receivers[0].normal != glm::dvec3(0.0);
     const bool weights = normals && options_.weight == Weight::cosine;
-    const LightRays& rays = *(normals ? withNormals_ : without_);
-    ReceiverLanes lanes;
-    lanes.count = count;
-    for (int i = 0; i < trace::kMostReceivers; ++i)
-        setLane(receivers[i < count ? i : 0], i, lanes);
+    const std::uint32_t home = faceOf(receivers[0].point);
+    const Face& face = faces_[home];
+    const LightRays& light = *(normals ? face.withNormals : face.without);
+    const ReceiverLanes lanes = lanesOf(face, receivers, count);
+    std::uint32_t met[trace::kMostReceivers] = {};
+    bool goBeyond = false;
+    for (int i = 0; faces_.size() > 1 && i < count; ++i) {
+        met[i] = facesMet(home, receivers[i].point);
+        goBeyond = goBeyond || met[i] != 1u << home;
+    }
 
-    trace::RayBundle bundle;
-    RayFates fates;
+    Rays rays;
     std::uint16_t valid[trace::kMostRows];
     const int atOnce = trace::kMostRows / count;
     for (int i = 0; i < count; ++i)
         sums[i].seen.spread = 0.0f;
-    const auto groups = [](std::uint32_t samples) {
+    const auto groupsOf = [](std::uint32_t samples) {
         return int((samples + trace::kLanes - 1) / trace::kLanes);
     };
-    const int end = groups(steps_.end[step]);
-    for (int first = groups(steps_.first(step)); first < end; first += atOnce) {
-        rays.fill(lanes, first, std::min(atOnce, end - first), bundle, fates);
-        for (int row = 0; row < bundle.receivers * bundle.groups; ++row) {
-            const int left =
-                int(samples_) - (first + row % bundle.groups) * trace::kLanes;
+    const int end = groupsOf(steps_.end[step]);
+    for (int first = groupsOf(steps_.first(step)); first < end; first += atOnce) {
+        light.fill(lanes, first, std::min(atOnce, end - first), rays.bundle, rays.fates);
+        const int groups = rays.bundle.groups, rows = count * groups;
+        for (int row = 0; row < rows; ++row) {
+            const int left = int(samples_) - (first + row % groups) * trace::kLanes;
             valid[row] = std::uint16_t((1u << std::min(left, trace::kLanes)) - 1);
-            const std::uint32_t counted = bundle.open[row] | fates.clear[row];
+            const std::uint32_t counted = rays.bundle.open[row] | rays.fates.clear[row];
             stats.rays += std::uint64_t(std::popcount(counted));
-            Sums& s = sums[row / bundle.groups];
+            Sums& s = sums[row / groups];
             s.above = s.above || counted != 0;
-            s.total = weights ? s.total + sum(counted, fates.weight[row]) : -1.0f;
+            s.total = weights ? s.total + sum(counted, rays.fates.weight[row]) : -1.0f;
         }
-        follow(bundle, fates, valid, weights, sums);
+        if (!opaque_) {
+            for (int row = 0; goBeyond && row < rows; ++row) {
+                if (met[row / groups] != 1u << home)
+                    cut(home, home, receivers[row / groups], rays.fates, row, row, rays);
+            }
+            std::copy_n(rays.bundle.open, rows, rays.followed);
+            for (std::uint32_t c = 0; c < map_.info().channels; ++c)
+                std::fill_n(rays.depths.depth[c][0], std::size_t(rows) * trace::kLanes,
+                            0.0f);
+        }
+        follow(face, rays);
+        if (goBeyond) followBeyond(home, receivers, count, met, first, rays);
+        addUp(rays, valid, weights, sums);
     }
 }
 

@@ -1,11 +1,19 @@
 // bundle_query.h - shadow factors of many points at once: neighbours share the way of
 // their rays through a map's trees.
 //
+// Six faces. Most points have all of their rays in the face that they belong to, until
+// these are nearer to the light than any caster. Of the others the rays are followed
+// through every face that they may meet something in. Surfaces of a face lie in its
+// window, so rays need not be cut where they leave it: what is met twice at a border is
+// blocked once. What lets light through is paid for each time: there a ray is cut into
+// the parts of the definition (trace/traverse.h), by the same numbers in both faces.
+//
 // A point's answer does not depend on which others are asked with it.
 #pragma once
 #include <glm/mat3x3.hpp>
 #include <glm/vec3.hpp>
 #include <optional>
+#include <vector>
 
 #include "light/sample.h"
 #include "mtsm/map.h"
@@ -15,6 +23,7 @@
 #include "shadow/query.h"
 #include "shadow/receiver_places.h"
 #include "shadow/sample_error.h"
+#include "trace/density_trace.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
 
@@ -22,9 +31,9 @@ namespace mtsm::shadow {
 
 class BundleQuery {
   public:
-    /// Can it answer such queries at all?
-    [[nodiscard]] static bool serves(const ShadowMap& map,
-                                     const ShadowOptions& options) noexcept;
+    /// Can it answer such queries at all? Makes the map's trees.
+    [[nodiscard]] static bool serves(const ShadowMap& map, const AreaLight& light,
+                                     const ShadowOptions& options);
 
     /// `only`: nothing else will be asked for.
     /// `errors`: answers come with their expected error.
@@ -32,7 +41,17 @@ class BundleQuery {
                 const ShadowOptions& options, bool errors,
                 const Receiver* only = nullptr);
 
-    [[nodiscard]] const ReceiverPlaces& places() const noexcept { return places_; }
+    /// Of 1 to ReceiverPlaces::kAtOnce points numbers as ReceiverPlaces has them.
+    void findPlaces(const glm::dvec3* points, int count,
+                    std::uint32_t* places) const noexcept;
+    /// Bits of a place that those of one call of glance() or look() must have in common.
+    [[nodiscard]] std::uint32_t together() const noexcept {
+        return faces_.size() > 1 ? kFaceBits : 0u;
+    }
+    /// The face that a point belongs to.
+    [[nodiscard]] std::uint32_t faceOf(glm::dvec3 point) const noexcept {
+        return faces_.size() > 1 ? trace::faceOf(map_, point) : 0u;
+    }
 
     /// What can be told of receivers without their rays.
     enum class Glance : std::uint8_t { unknown, lit, dark };
@@ -52,7 +71,7 @@ class BundleQuery {
     };
     /// Steps in which a query takes its rays.
     [[nodiscard]] int steps() const noexcept { return steps_.count; }
-    /// Adds what the rays of a step see of 1 to 16 receivers; counts rays.
+    /// Adds what the rays of a step see of 1 to 16 receivers of one face; counts rays.
     void look(const Receiver* receivers, int count, int step, Sums* sums,
               QueryStats& stats) const noexcept;
     /// Does a receiver need no further step?
@@ -63,40 +82,75 @@ class BundleQuery {
     [[nodiscard]] Answer answerOf(Glance told) const noexcept;
 
   private:
-    void findLit(Outlook* outlooks, int count, Glance* told) const noexcept;
-    [[nodiscard]] bool isFree(const Outlook& starts) const noexcept;
-    [[nodiscard]] std::uint32_t keyOf(const Receiver& receiver) const noexcept;
-    [[nodiscard]] glm::dvec3 turned(glm::dvec3 direction) const noexcept {
-        return turn_ * direction;
-    }
-    void setLane(const Receiver& receiver, int lane, ReceiverLanes& lanes) const noexcept;
+    static constexpr std::uint32_t kFaceBits = 15u << 26;  // and if others are met
 
-    void follow(trace::RayBundle& bundle, const RayFates& fates,
-                const std::uint16_t* valid, bool weights, Sums* sums) const noexcept;
+    /// A face as the rays of the light go through it.
+    struct Face {
+        Face(const ShadowMap& map, std::uint32_t number, ZRange depths,
+             const light::LightSampler& light);
+
+        const Projection& projection;
+        glm::dmat3 turn;  ///< world to light space
+        ZRange depths;    ///< that rays are followed to
+        ReceiverPlaces places;
+        LightOutline outline;
+        float nearHeight;  ///< RayBundle's measure of a plane's height
+        const NearField& nearField;
+        const trace::PatchTree* patches = nullptr;    ///< of an opaque map
+        const trace::DensityTree* density = nullptr;  ///< of any other
+        std::optional<LightRays> withNormals, without;
+        /// Axes of the light in light space, if they are the same for all points.
+        glm::dvec3 centre{0.0}, axisX, axisY, axisZ, base;
+        // Of several:
+        bool empty;
+        double nearest;                      ///< depth in front of which there is nothing
+        double lightLow = 0, lightHigh = 0;  ///< depths of the light
+    };
+    /// Rays on their way: those of one face as a bundle, and what becomes of them.
+    struct Rays {
+        trace::RayBundle bundle;
+        RayFates fates;
+        /// [row]: rays whose depths count.
+        std::uint16_t followed[trace::kMostRows];
+        trace::RayDepths depths;
+    };
+
+    void findLit(const Face& face, Outlook* outlooks, int count,
+                 Glance* told) const noexcept;
+    [[nodiscard]] bool isFree(const Face& face, const Outlook& starts) const noexcept;
+    void addRays(Face& face, bool normals, std::optional<std::uint32_t> onlyKey);
+    [[nodiscard]] std::uint32_t keyOf(const Receiver& receiver) const noexcept;
+    [[nodiscard]] std::uint32_t facesMet(std::uint32_t home,
+                                         glm::dvec3 point) const noexcept;
+    [[nodiscard]] ReceiverLanes lanesOf(const Face& face, const Receiver* receivers,
+                                        int count) const noexcept;
+    void setLane(const Face& face, const Receiver& receiver, int lane,
+                 ReceiverLanes& lanes) const noexcept;
+
+    void followBeyond(std::uint32_t home, const Receiver* receivers, int count,
+                      const std::uint32_t* met, int firstGroup,
+                      Rays& rays) const noexcept;
+    void cut(std::uint32_t home, std::uint32_t number, const Receiver& receiver,
+             const RayFates& homeFates, int homeRow, int row, Rays& rays) const noexcept;
+    void follow(const Face& face, Rays& rays) const noexcept;
+    [[nodiscard]] trace::DensityTraceOptions densityOptions() const noexcept;
     [[nodiscard]] glm::vec3 visibleOf(const Sums& sums, int step) const noexcept;
     [[nodiscard]] float errorOf(const Sums& sums, int step) const noexcept;
-    void traceNear(trace::RayBundle& bundle, const RayFates& fates) const noexcept;
+    void traceNear(const Face& face, Rays& rays) const noexcept;
+    void addUp(const Rays& rays, const std::uint16_t* valid, bool weights,
+               Sums* sums) const noexcept;
 
     const ShadowMap& map_;
-    const Projection& projection_;
-    glm::dmat3 turn_;  // world to light space
     light::LightSampler light_;
-    LightOutline outline_;
-    ReceiverPlaces places_;
     ShadowOptions options_;
     trace::ZBias bias_;
-    const trace::PatchTree* patches_;    // of an opaque map
-    const trace::DensityTree* density_;  // of any other
-    bool media_;
+    bool opaque_, media_;
     std::uint32_t samples_;
     SampleSteps steps_;
-    bool errors_;  // do they matter?
-    std::optional<LightRays> withNormals_, without_;
-    // Axes of the light in light space, if they are the same for all points.
-    bool fixedAxes_;
-    glm::dvec3 centre_, axisX_, axisY_, axisZ_, base_;
+    bool errors_;     // do they matter?
+    bool fixedAxes_;  // are the light's axes the same for all points?
     double capHeight_;
-    float nearHeight_;  // RayBundle's measure of a plane's height
+    std::vector<Face> faces_;
 };
 
 }  // namespace mtsm::shadow

@@ -237,6 +237,7 @@ LightOutline::LightOutline(const Projection& p, const light::LightSampler& light
     // Of directions the box of slopes.
     const Interval depth = {o.centre[2] - half_[2], o.centre[2] + half_[2]};
     known_ = known_ && depth.high < -0x1p-10f;
+    tilt_ = depth.low / depth.high;
     for (int axis = 0; known_ && axis < 2; ++axis) {
         const Interval aside = {o.centre[axis] - half_[axis],
                                 o.centre[axis] + half_[axis]};
@@ -254,7 +255,8 @@ Outlook LightOutline::outlook(const Receiver* receivers, int count) const noexce
     return outlook;
 }
 
-std::optional<trace::RayHull> LightOutline::hull(const Outlook& starts) const noexcept {
+std::optional<trace::RayHull> LightOutline::hull(const Outlook& starts,
+                                                 std::uint32_t samples) const noexcept {
     if (!known_) return std::nullopt;
     const Outline& o = outline_;
     Interval at[3], slope[2];
@@ -266,6 +268,8 @@ std::optional<trace::RayHull> LightOutline::hull(const Outlook& starts) const no
         at[axis] = {low - margin, high + margin};
     }
     const Interval w = at[2];
+    // How much larger than another a part of the light may seem.
+    float tilt = tilt_;
     for (int axis = 0; axis < 2; ++axis) {
         if (o.endless) {
             slope[axis] = {slopeLow_[axis], slopeHigh_[axis]};
@@ -280,15 +284,20 @@ std::optional<trace::RayHull> LightOutline::hull(const Outlook& starts) const no
             const Interval z = {o.centre[2] - half_[2], o.centre[2] + half_[2]};
             const Interval before = Interval{1.0f, 1.0f} - z * w;
             if (!(before.low > 0x1p-6f)) return std::nullopt;
+            tilt = before.high / before.low;
             slope[axis] = (x - (at[axis] - offset) * perScale * z) / before * scale;
         }
         const float margin =
             std::max(std::abs(slope[axis].low), std::abs(slope[axis].high)) * kRounding;
         slope[axis].low -= margin, slope[axis].high += margin;
     }
-    return trace::RayHull{at[0].low,    at[0].high,    at[1].low,    at[1].high,
-                          at[2].low,    at[2].high,    slope[0].low, slope[0].high,
-                          slope[1].low, slope[1].high, at[2].low};
+    // The light is smaller than the box around it.
+    const float area = (slope[0].high - slope[0].low) * (slope[1].high - slope[1].low);
+    return trace::RayHull{
+        at[0].low,     at[0].high,    at[1].low,
+        at[1].high,    at[2].low,     at[2].high,
+        slope[0].low,  slope[0].high, slope[1].low,
+        slope[1].high, at[2].low,     tilt * std::sqrt(area / float(samples))};
 }
 
 }  // namespace mtsm::shadow

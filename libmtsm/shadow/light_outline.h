@@ -37,10 +37,10 @@ class LightOutline {
 
     /// Of 1 to 16 receivers, finite ones. Without normals all of the light is above.
     [[nodiscard]] Outlook outlook(const Receiver* receivers, int count) const noexcept;
-    /// All rays from starts that are above to the light; nothing if some might not lead
-    /// towards the eye. Its wFirst is the lowest start.
+    /// All rays, so many a receiver, from starts that are above to the light; nothing if
+    /// some might not lead towards the eye. Its wFirst is the lowest start.
     [[nodiscard]] std::optional<trace::RayHull> hull(
-        const Outlook& starts) const noexcept;
+        const Outlook& starts, std::uint32_t samples) const noexcept;
 
     /// The light in light space: a box (centre and half sides, from there) that contains
     /// it, or, endless, the directions to it.
@@ -55,7 +55,8 @@ class LightOutline {
 
   private:
     Outline outline_;
-    float half_[3];                     // of a box around it
+    float half_[3];  // of a box around it
+    float tilt_ = 1.0f;
     float slopeLow_[2], slopeHigh_[2];  // endless: all that matters
     bool known_ = false;
 };

@@ -24,7 +24,7 @@ struct FillInput {
     int samples, firstGroup, groups;
     int among;  // samples that these are neighbours of
     light::LightView::Domain domain;
-    bool endless, normals, weights, media, sheets;
+    bool endless, normals, weights, media, sheets, ways;
     glm::vec3 shines;
 };
 
@@ -90,6 +90,19 @@ HWY_INLINE Vec3 project(const LightRays::View& view, Vec3 p) {
     return {hn::MulAdd(hn::Mul(p.x, su), w, ou), hn::MulAdd(hn::Mul(p.y, sv), w, ov), w};
 }
 
+/// A place on the border of a joined face is moved inside, in either face: so what runs
+/// along it is in both and not, by rounding, in none.
+HWY_INLINE Vec offBorder(Vec x, float size, float border) {
+    const Vec b = constant(border), end = constant(size);
+    x = hn::IfThenElse(hn::Lt(hn::Abs(x), b), b, x);
+    return hn::IfThenElse(hn::Lt(hn::Abs(hn::Sub(x, end)), b), hn::Sub(end, b), x);
+}
+HWY_INLINE Vec3 offBorder(const LightRays::View& view, Vec3 p) {
+    if (view.border == 0.0f) return p;
+    return {offBorder(p.x, view.width, view.border),
+            offBorder(p.y, view.height, view.border), p.z};
+}
+
 /// What holds for all rays of a receiver; as many receivers as a vector holds.
 class Starts {
   public:
@@ -103,7 +116,7 @@ class Starts {
         axisZ_ = load(at.axisZX, at.axisZY, at.axisZZ);
         normal_ = load(at.normalX, at.normalY, at.normalZ);
         capHeight_ = hn::Load(kF, at.capHeight + first);
-        start_ = project(view_, position_);
+        start_ = offBorder(view_, project(view_, position_));
         hn::Store(start_.x, kF, bundle.u + first);
         hn::Store(start_.y, kF, bundle.v + first);
         hn::Store(start_.z, kF, bundle.w + first);
@@ -217,15 +230,21 @@ class Starts {
                 }
             }
         }
-        // Rays themselves are rounded.
+        // Rays themselves are rounded; and of a deep receiver a slope is the small
+        // difference of its place and as large a way.
         const Vec more = constant(1.0f + 0x1p-18f), less = constant(1.0f - 0x1p-18f);
-        const auto grow = [&](Vec low, Vec high, Vec& lower, Vec& higher) {
+        const auto grow = [&](Vec& low, Vec& high, Vec place, float scale) {
             const Vec zero = hn::Zero(kF);
-            lower = hn::Mul(low, hn::IfThenElse(hn::Lt(low, zero), more, less));
-            higher = hn::Mul(high, hn::IfThenElse(hn::Lt(high, zero), less, more));
+            const Vec margin = view_.perspective
+                                   ? hn::Mul(hn::Abs(place), constant(scale * 0x1p-21f))
+                                   : zero;
+            low = hn::Mul(low, hn::IfThenElse(hn::Lt(low, zero), more, less));
+            high = hn::Mul(high, hn::IfThenElse(hn::Lt(high, zero), less, more));
+            low = hn::Sub(low, margin);
+            high = hn::Add(high, margin);
         };
-        grow(slopes.lowU, slopes.highU, slopes.lowU, slopes.highU);
-        grow(slopes.lowV, slopes.highV, slopes.lowV, slopes.highV);
+        grow(slopes.lowU, slopes.highU, position_.x, std::abs(view_.scaleU));
+        grow(slopes.lowV, slopes.highV, position_.y, std::abs(view_.scaleV));
     }
 
     /// Of the light, in slopes.
@@ -394,6 +413,13 @@ class Rays {
             sides(delta, until);
             last = along(position_, end, delta);
             to = project(view_, last);
+        }
+        to = offBorder(view_, to);
+        if (in_.ways) {
+            hn::Store(delta.x, kF, fates_.delta[0][row] + i);
+            hn::Store(delta.y, kF, fates_.delta[1][row] + i);
+            hn::Store(delta.z, kF, fates_.delta[2][row] + i);
+            hn::Store(end, kF, fates_.way[row] + i);
         }
         MaskF clear =
             hn::Not(hn::And(hn::Gt(end, zero), hn::Lt(end, constant(HUGE_VALF))));
@@ -611,23 +637,24 @@ LightRays::Points makePoints(const LightRays::Setting& setting,
     return points;
 }
 
+/// Planes of patches reach so much beyond the layers themselves.
+double footprintsAt(const Projection& p, double z) {
+    return 4.0 * p.pixelFootprint(std::abs(z));
+}
+
 }  // namespace
 
 LightRays::LightRays(const Projection& p, std::uint32_t width, std::uint32_t height,
                      ZRange depths, const light::LightSampler& light,
-                     const Setting& setting)
+                     const Setting& setting, const LightRays* alike)
     : setting_(setting) {
     view_.perspective = p.kind == ProjectionKind::perspective;
     view_.scaleU = float(p.scale.x), view_.scaleV = float(p.scale.y);
     view_.offsetU = float(p.offset.x), view_.offsetV = float(p.offset.y);
-    // Planes of patches reach a little beyond the layers themselves.
-    const double margin = 4.0;
-    const auto footprint = [&](double z) { return p.pixelFootprint(std::abs(z)); };
-    const double nearest = depths.min - margin * footprint(depths.min);
-    view_.nearest =
-        float(view_.perspective ? std::max(nearest, 0.5 * depths.min) : nearest);
-    view_.farthest = float(depths.max + margin * footprint(depths.max));
+    view_.nearest = float(nearestOf(p, depths));
+    view_.farthest = float(depths.max + footprintsAt(p, depths.max));
     view_.width = float(width), view_.height = float(height);
+    view_.border = setting.joined ? float(std::max(width, height)) * 0x1p-21f : 0.0f;
     view_.highest = view_.perspective ? 1.0f / view_.nearest : -view_.nearest;
     view_.planeHeight = float(setting.height * p.pixelFootprint(1.0));
     view_.near = setting.nearDepth > 0.0;
@@ -640,8 +667,15 @@ LightRays::LightRays(const Projection& p, std::uint32_t width, std::uint32_t hei
     domain_ = seen.domain;
     endless_ = seen.endless;
     shines_ = glm::vec3(p.lightFromWorldDirection(light.shines()));
-    points_ = makePoints(setting, domain_);
-    groups_ = int(points_.each / trace::kLanes);
+    points_ = alike ? alike->points_
+                    : std::make_shared<const Points>(makePoints(setting, domain_));
+    groups_ = int(points_->each / trace::kLanes);
+}
+
+double LightRays::nearestOf(const Projection& p, ZRange depths) noexcept {
+    const double nearest = depths.min - footprintsAt(p, depths.min);
+    return p.kind == ProjectionKind::perspective ? std::max(nearest, 0.5 * depths.min)
+                                                 : nearest;
 }
 
 void LightRays::fill(const ReceiverLanes& receivers, int first, int groups,
@@ -652,7 +686,7 @@ void LightRays::fill(const ReceiverLanes& receivers, int first, int groups,
         ++step;
     const FillInput input{receivers,
                           view_,
-                          points_,
+                          *points_,
                           int(setting_.samples),
                           first,
                           groups,
@@ -663,6 +697,7 @@ void LightRays::fill(const ReceiverLanes& receivers, int first, int groups,
                           setting_.weights,
                           setting_.media,
                           setting_.sheets,
+                          setting_.ways,
                           shines_};
     HWY_DYNAMIC_DISPATCH(fill)(input, bundle, fates);
 }

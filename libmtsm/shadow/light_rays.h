@@ -7,6 +7,7 @@
 #pragma once
 #include <cstdint>
 #include <glm/vec3.hpp>
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -43,6 +44,10 @@ struct RayFates {
     alignas(64) float layersBegin[trace::kMostRows][trace::kLanes];
     /// [row][lane]: what a ray counts for, if weights were asked for.
     alignas(64) float weight[trace::kMostRows][trace::kLanes];
+    /// [axis][row][lane], [row][lane]: if asked for, a ray's way to the light in light
+    /// space, and how much of that way it is followed.
+    alignas(64) float delta[3][trace::kMostRows][trace::kLanes];
+    alignas(64) float way[trace::kMostRows][trace::kLanes];
 };
 
 class LightRays {
@@ -63,13 +68,23 @@ class LightRays {
         /// A map that is not opaque: RayBundle::beginSurfaces matters; of sheets both are
         /// as far from the receiver.
         bool media = false, sheets = false;
+        /// One of several faces: what lies on the border of its window counts as inside.
+        bool joined = false;
+        bool ways = false;  ///< fill RayFates::delta and way
         double height = 0.0;
         double nearDepth = 0.0, nearHeight = 0.0, nearStart = 1.0;
         std::optional<std::uint32_t> onlyKey;
     };
-    /// `depths`: of all that there is to meet, biases included.
+    /// `depths`: of all that there is to meet, biases included. `alike`: rays of the same
+    /// light and setting, but for the face and normals; their points are shared.
     LightRays(const Projection& projection, std::uint32_t width, std::uint32_t height,
-              ZRange depths, const light::LightSampler& light, const Setting& setting);
+              ZRange depths, const light::LightSampler& light, const Setting& setting,
+              const LightRays* alike = nullptr);
+
+    /// The depth of a face in front of which there is nothing, if that holds for layers
+    /// in front of depths.min.
+    [[nodiscard]] static double nearestOf(const Projection& projection,
+                                          ZRange depths) noexcept;
 
     /// Of all rays of a receiver.
     [[nodiscard]] int groups() const noexcept { return groups_; }
@@ -96,6 +111,7 @@ class LightRays {
         float nearest, farthest;       // depths beyond which there is nothing
         float width, height;           // pixels
         float highest;                 // w of nearest
+        float border;                  // of a joined face: half as wide as it is, pixels
         float planeHeight;             // in RayBundle's measure
         bool near;                     // is there a near field?
         float nearHeight, nearStart;   // see Setting
@@ -103,7 +119,7 @@ class LightRays {
     };
 
   private:
-    Points points_;
+    std::shared_ptr<const Points> points_;
     int groups_ = 0;
     View view_;
     light::LightView::Domain domain_;

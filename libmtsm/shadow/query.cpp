@@ -178,4 +178,19 @@ bool Query::mayBeTruncated(glm::dvec3 point) const noexcept {
              r.y <= map_.info().height);
 }
 
+glm::vec3 visibilityByDefinition(const ShadowMap& map, const ShadowRay& ray,
+                                 const RayOptions& options) noexcept {
+    if (!isRay(ray)) return glm::vec3(1.0f);
+    trace::Ray traced;
+    traced.origin = ray.origin;
+    traced.delta = ray.direction;
+    traced.tEnd = ray.length;
+    trace::TraceOptions traceOptions;
+    traceOptions.bias = biasOf(map, options.bias);
+    traceOptions.threshold = thresholdOf(options.threshold);
+    traceOptions.attenuation = options.attenuation;
+    const trace::ChannelVisibility v = trace::traceRay(map, traced, traceOptions);
+    return {v[0], v[1], v[2]};
+}
+
 }  // namespace mtsm::shadow

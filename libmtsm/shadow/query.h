@@ -100,6 +100,15 @@ class Query {
     SampleSteps steps_;
 };
 
+/// Of finite place, direction and length above 0; all others are clear.
+[[nodiscard]] inline bool isRay(const ShadowRay& ray) noexcept {
+    return base::isFinite(ray.origin) && base::isFinite(ray.direction) &&
+           ray.length > 0.0;
+}
+/// The visibilities left to a ray, as trace/traverse.h defines them.
+[[nodiscard]] glm::vec3 visibilityByDefinition(const ShadowMap& map, const ShadowRay& ray,
+                                               const RayOptions& options) noexcept;
+
 /// Is it finite and not zero?
 [[nodiscard]] inline bool saysSomething(glm::dvec3 normal) noexcept {
     return base::isFinite(normal) && normal != glm::dvec3(0.0);

@@ -32,16 +32,16 @@ void radixSort(std::vector<Entry>& entries) {
 
 }  // namespace
 
-ReceiverOrder::ReceiverOrder(const ReceiverPlaces& places, const glm::dvec3* points,
+ReceiverOrder::ReceiverOrder(const BundleQuery& bundles, const glm::dvec3* points,
                              const glm::dvec3* normals, std::size_t count)
-    : sorted_(count) {
+    : sorted_(count), together_(~kPlaces | bundles.together()) {
     constexpr std::size_t kAtOnce = ReceiverPlaces::kAtOnce;
     base::parallelRanges(
         std::size_t(0), count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
             for (std::size_t first = begin; first < end; first += kAtOnce) {
                 const std::size_t some = std::min(kAtOnce, end - first);
                 std::uint32_t found[kAtOnce];
-                places.find(points + first, int(some), found);
+                bundles.findPlaces(points + first, int(some), found);
                 for (std::size_t k = 0; k < some; ++k) {
                     const std::size_t i = first + k;
                     Kind kind = Kind::alone;
@@ -60,7 +60,8 @@ ReceiverOrder::Block ReceiverOrder::block(std::size_t first,
                                           std::size_t end) const noexcept {
     const Kind kind = sorted_[first].kind();
     std::size_t count = 1;
-    while (first + count < end && sorted_[first + count].kind() == kind)
+    while (first + count < end &&
+           ((sorted_[first + count].key ^ sorted_[first].key) & together_) == 0)
         ++count;
     return {count, kind != Kind::alone};
 }

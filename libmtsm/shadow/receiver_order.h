@@ -5,22 +5,22 @@
 #include <glm/vec3.hpp>
 #include <vector>
 
+#include "shadow/bundle_query.h"
 #include "shadow/query.h"
-#include "shadow/receiver_places.h"
 
 namespace mtsm::shadow {
 
 class ReceiverOrder {
   public:
     /// `normals` may be null. At most 2^32 points.
-    ReceiverOrder(const ReceiverPlaces& places, const glm::dvec3* points,
+    ReceiverOrder(const BundleQuery& bundles, const glm::dvec3* points,
                   const glm::dvec3* normals, std::size_t count);
 
     /// The point that comes as number i.
     [[nodiscard]] std::size_t operator[](std::size_t i) const noexcept {
         return sorted_[i].point;
     }
-    /// Points of one kind, from number `first` on and before `end`.
+    /// Points of one kind and face, from number `first` on and before `end`.
     struct Block {
         std::size_t count = 0;
         bool bundled = false;  ///< else each goes alone, by ray
@@ -34,6 +34,7 @@ class ReceiverOrder {
         [[nodiscard]] Kind kind() const noexcept { return Kind(key >> 30); }
     };
     std::vector<Entry> sorted_;
+    std::uint32_t together_;  // bits of a key that those of a block have in common
 };
 
 }  // namespace mtsm::shadow

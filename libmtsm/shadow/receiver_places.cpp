@@ -82,9 +82,9 @@ namespace mtsm::shadow {
 
 HWY_EXPORT(findPlaces);
 
-ReceiverPlaces::ReceiverPlaces(const ShadowMap& map, const light::LightSampler& light) {
-    const Projection& p = map.projection(0);
-    const ZRange range = map.zRange(0);
+ReceiverPlaces::ReceiverPlaces(const ShadowMap& map, std::uint32_t face, ZRange range,
+                               const light::LightSampler& light) {
+    const Projection& p = map.projection(face);
     view_.perspective = p.kind == ProjectionKind::perspective;
     const glm::dvec3 axes[3] = {p.right, p.up, p.forward};
     const glm::dvec3 shines = light.shines();

@@ -15,7 +15,9 @@ class ReceiverPlaces {
     /// or behind the eye, or so far outside the view that rays in float are too coarse.
     static constexpr std::uint32_t kNone = ~std::uint32_t(0);
 
-    ReceiverPlaces(const ShadowMap& map, const light::LightSampler& light);
+    /// `depths`: between which there is anything to meet.
+    ReceiverPlaces(const ShadowMap& map, std::uint32_t face, ZRange depths,
+                   const light::LightSampler& light);
 
     static constexpr int kAtOnce = 16;
     /// Of 1 to kAtOnce points numbers below 2^30, or kNone.

@@ -3,15 +3,17 @@
 
 #include <algorithm>
 #include <cmath>
-#include <glm/geometric.hpp>
 #include <mutex>
+#include <new>
 #include <utility>
+#include <vector>
 
 #include "base/finite.h"
 #include "base/message.h"
 #include "base/parallel.h"
 #include "shadow/bundle_query.h"
 #include "shadow/query.h"
+#include "shadow/ray_query.h"
 #include "shadow/receiver_order.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
@@ -92,9 +94,11 @@ class Groups {
     void wait(int step, const Receiver& receiver, std::size_t point,
               const shadow::BundleQuery::Sums& sums) {
         Waiting& w = waiting_[step];
-        // Those that wait have normals as well, or none has.
-        if (w.count > 0 && shadow::saysSomething(receiver.normal) !=
-                               shadow::saysSomething(w.receivers[0].normal))
+        // Those that wait have normals as well, or none has; and are of the same face.
+        if (w.count > 0 &&
+            (shadow::saysSomething(receiver.normal) !=
+                 shadow::saysSomething(w.receivers[0].normal) ||
+             bundles_.faceOf(receiver.point) != bundles_.faceOf(w.receivers[0].point)))
             follow(step);
         w.receivers[w.count] = receiver;
         w.points[w.count] = point;
@@ -119,7 +123,7 @@ template <typename Take>
 void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles,
                   const glm::dvec3* points, const glm::dvec3* normals, std::size_t count,
                   QueryStats& stats, const Take& take) {
-    const shadow::ReceiverOrder order(bundles.places(), points, normals, count);
+    const shadow::ReceiverOrder order(bundles, points, normals, count);
     std::mutex mutex;
     const auto answer = [&](std::size_t begin, std::size_t end) {
         using Glance = shadow::BundleQuery::Glance;
@@ -170,48 +174,105 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
     base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
 }
 
+/// Many points at once.
+template <typename Take>
+void answerBundles(const shadow::Query& query, const ShadowMap& map,
+                   const AreaLight& light, const glm::dvec3* points,
+                   const glm::dvec3* normals, std::size_t count,
+                   const ShadowOptions& options, bool errors, QueryStats& stats,
+                   const Take& take) {
+    // What a point that is not finite is asked with does not matter.
+    const shadow::Receiver only{
+        points[0], normals ? shadow::unitNormal(normals[0]) : glm::dvec3(0.0)};
+    const shadow::BundleQuery bundles(map, light, options, errors,
+                                      count == 1 ? &only : nullptr);
+    // Orders count in 32 bits.
+    constexpr std::size_t kAtOnce = std::size_t(1) << 30;
+    for (std::size_t first = 0; first < count; first += kAtOnce) {
+        answerGroups(
+            query, bundles, points + first, normals ? normals + first : nullptr,
+            std::min(kAtOnce, count - first), stats,
+            [&](std::size_t i, const Answer& answer) { take(first + i, answer); });
+    }
+}
+
 template <typename Take>
 void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
                const glm::dvec3* normals, std::size_t count, const ShadowOptions& options,
-               QueryStats* stats, bool errors, const Take& take) {
+               QueryStats* stats, bool errors, const Take& take) noexcept {
     if (count == 0) return;
     const shadow::Query query(map, light, options, errors);
     QueryStats met;
-    if (shadow::BundleQuery::serves(map, options)) {
-        const shadow::Receiver only{
-            points[0], normals ? shadow::unitNormal(normals[0]) : glm::dvec3(0.0)};
-        const shadow::BundleQuery bundles(map, light, options, errors,
-                                          count == 1 ? &only : nullptr);
-        // Orders count in 32 bits.
-        constexpr std::size_t kAtOnce = std::size_t(1) << 30;
-        for (std::size_t first = 0; first < count; first += kAtOnce) {
-            answerGroups(
-                query, bundles, points + first, normals ? normals + first : nullptr,
-                std::min(kAtOnce, count - first), met,
-                [&](std::size_t i, const Answer& answer) { take(first + i, answer); });
-        }
-    } else {
-        answerEach(query, points, normals, count, met, take);
+    try {
+        if (shadow::BundleQuery::serves(map, light, options))
+            answerBundles(query, map, light, points, normals, count, options, errors, met,
+                          take);
+        else
+            answerEach(query, points, normals, count, met, take);
+    } catch (const std::bad_alloc&) {
+        // By ray nothing is needed.
+        met = {};
+        for (std::size_t i = 0; i < count; ++i)
+            take(i, query.shadowFactor(points[i], normals ? normals[i] : glm::dvec3(0.0),
+                                       met));
     }
     if (stats) add(*stats, met);
+}
+
+/// Hands the visibilities of ray i to take(i, visibilities), for all rays.
+template <typename Take>
+void answerRays(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
+                const RayOptions& options, const Take& take) noexcept {
+    const auto byDefinition = [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i)
+            take(i, shadow::visibilityByDefinition(map, rays[i], options));
+    };
+    try {
+        if (!shadow::RayQuery::serves(map, options)) {
+            base::parallelRanges(std::size_t(0), count, kPointsPerTask, byDefinition);
+            return;
+        }
+        const shadow::RayQuery query(map, options);
+        const auto answer = [&](std::size_t begin, std::size_t end) {
+            glm::vec3 visible[shadow::RayQuery::kAtOnce];
+            query.look(rays + begin, end - begin, visible);
+            for (std::size_t i = begin; i < end; ++i)
+                take(i, visible[i - begin]);
+        };
+        if (count <= 1) return answer(0, count);
+        const std::vector<std::size_t> begin = shadow::RayQuery::beginnings(rays, count);
+        base::parallelFor(std::size_t(1), begin.size(),
+                          [&](std::size_t i) { answer(begin[i - 1], begin[i]); });
+    } catch (const std::bad_alloc&) {
+        byDefinition(0, count);
+    }
+}
+
+/// What queries of the map go through, made if need be.
+bool hasTrees(const ShadowMap& map) {
+    try {
+        return shadow::BundleQuery::serves(map, map.info().light, {});
+    } catch (const std::bad_alloc&) {
+        return false;
+    }
 }
 
 }  // namespace
 
 void prepareQueries(const ShadowMap& map) noexcept {
-    if (!shadow::BundleQuery::serves(map, {})) return;
-    if (map.isOpaque())
-        (void)trace::patchTrees(map);
-    else
-        (void)trace::densityTree(map);
+    (void)hasTrees(map);
 }
 
 std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept {
     std::uint64_t bytes = map.memoryBytes();
-    if (!shadow::BundleQuery::serves(map, {})) return bytes;
-    if (!map.isOpaque()) return bytes + trace::densityTree(map)->memoryBytes();
-    for (const trace::PatchTree& tree : trace::patchTrees(map))
-        bytes += tree.memoryBytes();
+    if (!hasTrees(map)) return bytes;
+    if (map.isOpaque()) {
+        for (const trace::PatchTree& tree : *trace::patchTrees(map))
+            bytes += tree.memoryBytes();
+    } else {
+        for (const trace::DensityTree& tree : *trace::densityTrees(map))
+            bytes += tree.memoryBytes();
+    }
     return bytes;
 }
 
@@ -269,19 +330,9 @@ void shadowFactors(const ShadowMap& map, const AreaLight& light, const glm::dvec
 
 glm::vec3 visibilityColor(const ShadowMap& map, const ShadowRay& ray,
                           const RayOptions& options) noexcept {
-    if (!base::isFinite(ray.origin) || !base::isFinite(ray.direction) ||
-        !(ray.length > 0.0))
-        return glm::vec3(1.0f);
-    trace::Ray traced;
-    traced.origin = ray.origin;
-    traced.delta = ray.direction;
-    traced.tEnd = ray.length;
-    trace::TraceOptions traceOptions;
-    traceOptions.bias = shadow::biasOf(map, options.bias);
-    traceOptions.threshold = shadow::thresholdOf(options.threshold);
-    traceOptions.attenuation = options.attenuation;
-    const trace::ChannelVisibility v = trace::traceRay(map, traced, traceOptions);
-    return {v[0], v[1], v[2]};
+    glm::vec3 visible;
+    visibilitiesColor(map, &ray, 1, &visible, options);
+    return visible;
 }
 
 float visibility(const ShadowMap& map, const ShadowRay& ray,
@@ -291,20 +342,15 @@ float visibility(const ShadowMap& map, const ShadowRay& ray,
 
 void visibilitiesColor(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
                        glm::vec3* out, const RayOptions& options) noexcept {
-    const auto answer = [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i)
-            out[i] = visibilityColor(map, rays[i], options);
-    };
-    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
+    answerRays(map, rays, count, options,
+               [&](std::size_t i, glm::vec3 v) { out[i] = v; });
 }
 
 void visibilities(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
                   float* out, const RayOptions& options) noexcept {
-    const auto answer = [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i)
-            out[i] = visibility(map, rays[i], options);
-    };
-    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
+    answerRays(map, rays, count, options, [&](std::size_t i, glm::vec3 v) {
+        out[i] = shadow::mean(v, map.info().channels);
+    });
 }
 
 }  // namespace mtsm

@@ -76,6 +76,7 @@ struct RayHull {
     /// Pixels per w, as RayBundle's; all rays lead towards the eye.
     float slopeLowU, slopeHighU, slopeLowV, slopeHighV;
     float wFirst;  ///< nothing counts below this
+    float spread;  ///< as RayBundle's, the largest
 };
 
 }  // namespace mtsm::trace

@@ -622,5 +622,113 @@ void traceDensity(const DensityTree& tree, const DensityTraceOptions& options,
     HWY_DYNAMIC_DISPATCH(traceDensityAt)(tree, options, bundle, depths);
 }
 
+namespace {
+
+/// mayMeet: depth first, down to texels as large as rays may use.
+class Glance {
+  public:
+    Glance(const DensityTree& tree, const DensityTraceOptions& options,
+           const RayHull& hull)
+        : tree_(tree), options_(options), hull_(hull) {}
+
+    bool run() {
+        for (const DensityPyramid* p : {&tree_.translucent(), &tree_.surfaces()}) {
+            if (!p->empty() && meets(*p)) return true;
+        }
+        return false;
+    }
+
+  private:
+    struct Node {
+        std::uint32_t level, x, y;
+    };
+
+    bool meets(const DensityPyramid& pyramid) {
+        const bool sheets = tree_.isOfSheets() && &pyramid == &tree_.translucent();
+        Node stack[kSize] = {{std::uint32_t(pyramid.levels.size()) - 1, 0, 0}};
+        for (int waiting = 1, looks = 0; waiting > 0; ++looks) {
+            const Node node = stack[--waiting];
+            const DensityLevel& level = pyramid.levels[node.level];
+            const DensityTexel& texel = level.texel(node.x, node.y);
+            const float side = std::ldexp(1.0f, int(node.level));
+            float most = 0.0f;
+            // Of a sheet the bias is that where a ray leaves the texel or enters it:
+            // somewhere in the map.
+            const float reach =
+                sheets ? side * (2.0f * std::max(biasAt(1.1f * pyramid.high),
+                                                 biasAt(1.1f * pyramid.low)) +
+                                 movedAt(texel.high))
+                       : biasAt(texel.high);
+            if (!isMet(node, texel, 1.01f * reach, most)) continue;
+            const float part = tree_.isOfSheets() ? 0.5f : 1.0f;
+            if (node.level <= tree_.finest() || looks == kMostLooks ||
+                side <= 1.01f * part * hull_.spread * most)
+                return true;
+            const DensityLevel& finer = pyramid.levels[node.level - 1];
+            for (std::uint32_t y = 2 * node.y; y < std::min(2 * node.y + 2, finer.height);
+                 ++y) {
+                for (std::uint32_t x = 2 * node.x;
+                     x < std::min(2 * node.x + 2, finer.width); ++x)
+                    stack[waiting++] = {node.level - 1, x, y};
+            }
+        }
+        return false;
+    }
+
+    /// `reach`: what it is met within; `most`: how far above the lowest start; both w.
+    bool isMet(Node node, const DensityTexel& texel, float reach, float& most) const {
+        if (!(texel.low <= texel.high)) return false;  // empty
+        most = texel.high + reach - hull_.wLow;
+        const float least =
+            std::max(0.0f, std::max(texel.low - reach, hull_.wFirst) - hull_.wHigh);
+        if (!(texel.high + reach >= hull_.wFirst)) return false;
+        const float side = std::ldexp(1.0f, int(node.level));
+        return crosses(float(node.x) * side, side, hull_.uLow, hull_.uHigh,
+                       hull_.slopeLowU, hull_.slopeHighU, least, most) &&
+               crosses(float(node.y) * side, side, hull_.vLow, hull_.vHigh,
+                       hull_.slopeLowV, hull_.slopeHighV, least, most);
+    }
+
+    static bool crosses(float low, float side, float startLow, float startHigh,
+                        float slopeLow, float slopeHigh, float least, float most) {
+        return startLow + std::min(slopeLow * least, slopeLow * most) <= low + side &&
+               startHigh + std::max(slopeHigh * least, slopeHigh * most) >= low;
+    }
+
+    /// How far from w, as w, the bias reaches that there is at w.
+    [[nodiscard]] float biasAt(float w) const {
+        const auto base = float(options_.bias.base);
+        const auto perDepth = float(options_.bias.perDepth);
+        if (tree_.projection().kind != ProjectionKind::perspective)
+            return base + perDepth * std::abs(w);
+        // Towards the eye it reaches further than the bias itself.
+        const float depth = 1.0f / std::max(w, 1e-25f);
+        const float bias = base + perDepth * depth;
+        constexpr float kEverywhere = 1e25f;
+        return bias < 0.5f * depth ? bias / (depth * (depth - bias)) : kEverywhere;
+    }
+
+    /// How far sheets may lie from where they are in a texel of one pixel's side, w: what
+    /// is merged lies at its mean, level after level (density_tree.cpp).
+    [[nodiscard]] float movedAt(float w) const {
+        const auto footprint = float(tree_.projection().pixelFootprint(1.0));
+        const bool perspective = tree_.projection().kind == ProjectionKind::perspective;
+        return 4.0f * footprint * (perspective ? w : 1.0f);
+    }
+
+    // Three wait beside each of as many levels as there may be.
+    static constexpr int kSize = 4 * 24, kMostLooks = 256;
+    const DensityTree& tree_;
+    const DensityTraceOptions& options_;
+    const RayHull& hull_;
+};
+
+}  // namespace
+
+bool mayMeet(const DensityTree& tree, const DensityTraceOptions& options,
+             const RayHull& hull) noexcept {
+    return Glance(tree, options, hull).run();
+}
+
 }  // namespace mtsm::trace
 #endif

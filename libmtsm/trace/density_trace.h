@@ -71,4 +71,9 @@ struct RayDepths {
 void traceDensity(const DensityTree& tree, const DensityTraceOptions& options,
                   RayBundle& bundle, RayDepths& depths) noexcept;
 
+/// May any ray of the hull meet something? Where that is not soon found out, it may. What
+/// is told to be free is so for any ray's texels. Allocates nothing.
+[[nodiscard]] bool mayMeet(const DensityTree& tree, const DensityTraceOptions& options,
+                           const RayHull& hull) noexcept;
+
 }  // namespace mtsm::trace

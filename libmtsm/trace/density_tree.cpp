@@ -6,6 +6,7 @@
 #include <bit>
 #include <cmath>
 #include <limits>
+#include <new>
 #include <optional>
 #include <utility>
 
@@ -571,14 +572,22 @@ std::uint64_t DensityTree::memoryBytes() const noexcept {
     return bytesOf(translucent_) + bytesOf(surfaces_);
 }
 
-const DensityTree* densityTree(const ShadowMap& map) {
-    using Kept = std::optional<DensityTree>;
-    const Kept& kept = map.queryData().get<Kept>([&]() -> Kept {
-        Result<DensityTree> tree = DensityTree::build(map, 0);
-        if (!tree) return std::nullopt;
-        return *std::move(tree);
+const std::vector<DensityTree>* densityTrees(const ShadowMap& map) {
+    using Kept = std::vector<DensityTree>;
+    const Kept& kept = map.queryData().get<Kept>([&] {
+        Kept trees;
+        try {
+            for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
+                Result<DensityTree> tree = DensityTree::build(map, face);
+                if (!tree) return Kept();
+                trees.push_back(*std::move(tree));
+            }
+        } catch (const std::bad_alloc&) {
+            trees = {};
+        }
+        return trees;
     });
-    return kept ? &*kept : nullptr;
+    return kept.empty() ? nullptr : &kept;
 }
 
 }  // namespace mtsm::trace

@@ -128,8 +128,8 @@ class DensityTree {
     DensityPyramid translucent_, surfaces_;
 };
 
-/// The tree of a map of one face that is not opaque, made when first asked for; null if
-/// that is too large.
-[[nodiscard]] const DensityTree* densityTree(const ShadowMap& map);
+/// The trees of the faces of a map that is not opaque, made when first asked for; null if
+/// they are too large or there is no memory for them, for good.
+[[nodiscard]] const std::vector<DensityTree>* densityTrees(const ShadowMap& map);
 
 }  // namespace mtsm::trace

@@ -55,6 +55,11 @@ HWY_INLINE hn::Vec<D> loadField(D d, const float* const* groups, int field, int 
     }
 }
 
+/// How large a texel may be beside the distance of neighbouring rays: twice that costs as
+/// much and errs by a fifth more (tests/bench/NOTES.md).
+constexpr float kTexel = 0.5f;
+constexpr int kMostLevels = 24;
+
 /// Groups that wait, with the receivers that they may still matter to.
 struct Waiting {
     std::uint32_t group, groups;
@@ -194,7 +199,7 @@ class Traversal {
 
     void findHull() {
         hull_ = {HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF,
-                 HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF, HUGE_VALF};
+                 HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF, HUGE_VALF, 0.0f};
         for (std::uint32_t rest = lanes_; rest; rest &= rest - 1) {
             const int i = std::countr_zero(rest);
             const auto include = [](float& low, float& high, float a, float b) {
@@ -359,10 +364,13 @@ class Traversal {
         std::uint32_t answered = lanes;
         if (g.childGroups[i] > 0) {
             answered &= mayAnswer_[g.level[i]];
-            if (answered && g.sheet[i]) test<true>(g, i, groups, answered);
+            if (answered && g.sheet[i]) test<Patch::sheet>(g, i, groups, answered);
             answered &= far & ~std::uint32_t(bundle_.wide);
         }
-        if (answered) test<false>(g, i, groups, answered);
+        if (answered && g.bumpy[i])
+            test<Patch::bumpy>(g, i, groups, answered);
+        else if (answered)
+            test<Patch::whole>(g, i, groups, answered);
         const std::uint32_t rest = lanes & ~answered & lanes_;
         if (rest == 0) return;
         queue_.push({g.children[i], g.childGroups[i], std::uint16_t(rest)});
@@ -398,9 +406,10 @@ class Traversal {
         std::uint32_t number;
     };
 
-    /// Closes the rays of these receivers and groups that the patch blocks. kSheet: those
-    /// that surely go through it; the patch's children still count for the others.
-    template <bool kSheet>
+    enum class Patch { whole, sheet, bumpy };
+    /// Closes the rays of these receivers and groups that the patch blocks. Of a sheet:
+    /// those that surely go through it; the patch's children still count for the others.
+    template <Patch kPatch>
     void test(const PatchGroup& g, int i, std::uint64_t groups, std::uint32_t lanes) {
         const auto texel = float(1u << g.level[i]);
         const float side = kTexels * texel;
@@ -427,8 +436,13 @@ class Traversal {
                     batch.dw = hn::Load(kF, bundle_.dw[row] + k);
                     batch.begin = hn::Load(kF, bundle_.begin[row] + k);
                     batch.threshold = bundle_.threshold[row] + k;
-                    const std::uint32_t hits =
-                        kSheet ? through(seen, batch) : met(seen, batch);
+                    std::uint32_t hits = 0;
+                    if constexpr (kPatch == Patch::sheet)
+                        hits = through(seen, batch);
+                    else if constexpr (kPatch == Patch::bumpy)
+                        hits = metBumps(seen, batch);
+                    else
+                        hits = met(seen, batch);
                     bundle_.open[row] &= std::uint16_t(~(hits << k));
                     closed = closed || hits == batch.open;
                 }
@@ -490,6 +504,33 @@ class Traversal {
         return hits & sharesAbove(p, r, y, bit);
     }
 
+    /// Rays that meet the pixels of a bumpy patch, each of which lies on a plane of its
+    /// own.
+    std::uint32_t metBumps(const Seen& p, const Batch& r) const {
+        const BumpPlane bumps = std::bit_cast<BumpPlane>(*p.cover);
+        const Vec inverse = perApproach(p, r);
+        const float rise = riseAt(p, r), perStep = p.g.residual[p.i] / BumpPlane::kSteps;
+        constexpr float kSide = BumpPlane::kSide;
+        const float u0 = r.startU - std::floor(p.g.u[p.i] / kSide) * kSide;
+        const float v0 = r.startV - std::floor(p.g.v[p.i] / kSide) * kSide;
+        const Vec none = hn::Zero(kF), one = hn::Set(kF, 1.0f);
+        auto hit = hn::Gt(none, one);
+        for (int t = 0; t < BumpPlane::kSide * BumpPlane::kSide; ++t) {
+            if (bumps.offset[t] == BumpPlane::kNone) continue;
+            const float above = rise + perStep * float(bumps.offset[t]);
+            const Vec s = hn::Mul(hn::Set(kF, above), inverse);
+            const Vec u =
+                hn::MulAdd(r.du, s, hn::Set(kF, u0 - float(t % BumpPlane::kSide)));
+            const Vec v =
+                hn::MulAdd(r.dv, s, hn::Set(kF, v0 - float(t / BumpPlane::kSide)));
+            auto inside = hn::And(hn::Gt(s, r.begin), hn::Le(s, one));
+            inside = hn::And(inside, hn::And(hn::Ge(u, none), hn::Lt(u, one)));
+            inside = hn::And(inside, hn::And(hn::Ge(v, none), hn::Lt(v, one)));
+            hit = hn::Or(hit, inside);
+        }
+        return bitsOf(hit) & r.open;
+    }
+
     static VecI rowsAt(const CoverPlane& cover, VecI y) {
         if constexpr (kN == kLanes) {
             const hn::Rebind<std::uint16_t, Ints> halves;
@@ -519,11 +560,6 @@ class Traversal {
         return bitsOf(hn::Or(full, hn::Lt(threshold, share)));
     }
 
-    static constexpr int kMostLevels = 24;
-    /// How large a texel may be beside the distance of neighbouring rays: twice that
-    /// costs as much and errs by a fifth more (tests/bench/NOTES.md).
-    static constexpr float kTexel = 0.5f;
-
     static constexpr std::uint32_t kAll = (1u << kN) - 1;
 
     const PatchTree& tree_;
@@ -540,13 +576,13 @@ void tracePatches(const PatchTree& tree, RayBundle& bundle) {
     Traversal(tree, bundle).run();
 }
 
-/// mayMeet: depth first, until a patch is met that is no larger than the hull there.
+/// mayMeet: depth first, until a patch is met that may be taken as it is.
 class Glance {
   public:
     Glance(const PatchTree& tree, const RayHull& hull) : tree_(tree), hull_(hull) {}
 
     bool run() {
-        enterTiles(tree_, hull_, false, 1,
+        enterTiles(tree_, hull_, false, firstLevel(),
                    [&](const PatchTree::Entry& tile) { push(tile.group, tile.groups); });
         for (int looks = 0; waiting_ > 0; ++looks) {
             if (full_ || looks == kMostLooks || look()) return true;
@@ -555,6 +591,17 @@ class Glance {
     }
 
   private:
+    /// No finer than the first at which some ray may be answered (RayBundle::topLevel).
+    [[nodiscard]] std::size_t firstLevel() const {
+        const float width = std::max(hull_.slopeHighU - hull_.slopeLowU,
+                                     hull_.slopeHighV - hull_.slopeLowV) *
+                            (tree_.highest() - hull_.wLow);
+        std::size_t level = 1;
+        for (float side = kTexels; side < width && level < kMostLevels; side *= 2.0f)
+            ++level;
+        return level;
+    }
+
     void push(std::uint32_t group, std::uint32_t groups) {
         for (std::uint32_t i = 0; i < groups; ++i) {
             if (waiting_ == kSize) {
@@ -589,6 +636,8 @@ class Glance {
         return false;
     }
 
+    /// It is if rays may take it as it is, so that what its children say is not what they
+    /// would find; and where its children would tell little more.
     [[nodiscard]] bool isFine(const PatchGroup& g, int i) const {
         const float most = g.high[i] - hull_.wLow;
         const float u =
@@ -596,6 +645,7 @@ class Glance {
         const float v =
             hull_.vHigh - hull_.vLow + most * (hull_.slopeHighV - hull_.slopeLowV);
         return g.childGroups[i] == 0 ||
+               g.texel[i] <= hull_.spread * kTexel * (g.low[i] - hull_.wLow) ||
                std::max(g.halfU[i], g.halfV[i]) <= std::max(u, v);
     }
 

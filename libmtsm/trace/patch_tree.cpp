@@ -6,6 +6,7 @@
 #include <bit>
 #include <cmath>
 #include <map>
+#include <new>
 
 #include "base/lazy.h"
 #include "base/parallel.h"
@@ -23,6 +24,9 @@ constexpr std::array kTolerances = {1.0f, 4.0f};
 /// PatchTree::Options::flatness of the trees of queries: what is close to receivers must
 /// be more exact if no near field answers for it (tests/bench/NOTES.md).
 constexpr float kFlatAlone = 0.3f, kFlatBesideNearField = 3.0f;
+
+/// Groups and covers of a tree have numbers of 32 bits; entries of levels still join.
+constexpr std::size_t kMostIds = std::size_t(1) << 31;
 
 /// Sums over samples, enough to fit a plane to them.
 struct Moments {
@@ -86,7 +90,7 @@ struct Node {
     Moments moments;
     std::uint32_t children = 0, childGroups = 0, cover = 0;
     std::uint8_t level = 0;
-    bool shared = false, sheet = false;
+    bool shared = false, sheet = false, bumpy = false;
 
     void centre() {
         const double u = 0.5 * (box.u0 + box.u1), v = 0.5 * (box.v0 + box.v1);
@@ -168,6 +172,7 @@ void store(const Node& node, PatchGroup& g, int i) {
     g.level[i] = node.level;
     g.shared[i] = node.shared;
     g.sheet[i] = node.sheet && box.area() == node.box.area();
+    g.bumpy[i] = node.bumpy;
 }
 
 /// Appends nodes in groups of four; the first group's index.
@@ -316,13 +321,17 @@ class TilePieces {
             ordered_[next[pieceOf[i]]++] = samples_[i];
     }
 
-    /// A patch of these samples, and its quarters if it is not flat.
+    /// A patch of these samples; if it is not flat, its quarters, or its bumps.
     Node emit(const std::vector<Sample>& samples, Square square, Slope likely,
               Made& made) {
         Node node = flatNode(samples, likely);
         likely = {node.plane.gradientU, node.plane.gradientV};
-        if (samples.size() > 1 && square.size > 1 &&
-            node.residual > flatness_ * footprint_.at(node.plane.w)) {
+        const bool flat = node.residual <= flatness_ * footprint_.at(node.plane.w);
+        if (!flat && square.size == BumpPlane::kSide) {
+            addBumps(samples, square, node, made);
+            return node;
+        }
+        if (!flat) {
             std::vector<Node> quarters;
             const int half = square.size / 2;
             for (int q = 0; q < 4; ++q) {
@@ -354,6 +363,23 @@ class TilePieces {
             plane.row[s.pixel >> 4] |= std::uint16_t(1u << (s.pixel & 15));
         made.covers.push_back(plane);
         return node;
+    }
+
+    void addBumps(const std::vector<Sample>& samples, Square square, Node& node,
+                  Made& made) const {
+        node.bumpy = true;
+        node.cover = std::uint32_t(made.covers.size());
+        BumpPlane bumps;
+        std::fill(std::begin(bumps.offset), std::end(bumps.offset), BumpPlane::kNone);
+        for (const Sample& s : samples) {
+            const int x = s.pixel & 15, y = s.pixel >> 4;
+            const double away = s.w - node.plane.at(u_ + x + 0.5, v_ + y + 0.5);
+            const double steps = away / node.residual * BumpPlane::kSteps;
+            bumps.offset[(y - square.y) * BumpPlane::kSide + x - square.x] =
+                std::int16_t(std::lround(std::clamp(steps, -double(BumpPlane::kSteps),
+                                                    double(BumpPlane::kSteps))));
+        }
+        made.covers.push_back(std::bit_cast<CoverPlane>(bumps));
     }
 
     [[nodiscard]] Node flatNode(const std::vector<Sample>& samples, Slope likely) const {
@@ -658,9 +684,12 @@ class PatchBuilder {
     PatchTree run() {
         LevelNodes nodes = pieces();
         for (std::uint8_t level = 1; nodes.columns > 1 || nodes.rows > 1; ++level) {
-            addEntries(nodes);
+            // Of tiles of level 0 there are too many to begin with.
+            tree_.levels_.push_back({nodes.side, nodes.columns, nodes.rows, {}});
+            if (level > 1) addEntries(nodes);
             nodes = coarsen(nodes, level);
         }
+        tree_.levels_.push_back({nodes.side, nodes.columns, nodes.rows, {}});
         addEntries(nodes);
         tree_.lowest_ = HUGE_VALF, tree_.highest_ = -HUGE_VALF;
         for (const Node& n : nodes.nodes) {
@@ -669,6 +698,8 @@ class PatchBuilder {
         }
         growBounds();
         tree_.covers_.emplace_back();  // kernels read a little further
+        tree_.groups_.shrink_to_fit();
+        tree_.covers_.shrink_to_fit();
         return std::move(tree_);
     }
 
@@ -727,6 +758,9 @@ class PatchBuilder {
         for (Made& m : made) {
             const auto group = std::uint32_t(tree_.groups_.size());
             const auto cover = std::uint32_t(tree_.covers_.size());
+            if (tree_.groups_.size() + m.groups.size() > kMostIds ||
+                tree_.covers_.size() + m.covers.size() > kMostIds)
+                throw std::bad_alloc();
             for (Node& n : m.nodes) {
                 n.cover += cover;
                 if (n.childGroups > 0) n.children += group;
@@ -753,15 +787,15 @@ class PatchBuilder {
         tree_.patchCount_ += level.nodes.size();
     }
 
+    /// To the last level.
     void addEntries(const LevelNodes& nodes) {
-        PatchTree::Level level{nodes.side, nodes.columns, nodes.rows, {}};
+        std::vector<PatchTree::Entry>& tiles = tree_.levels_.back().tiles;
         for (std::size_t tile = 0; tile + 1 < nodes.begin.size(); ++tile) {
             const std::uint32_t first = nodes.begin[tile];
-            level.tiles.push_back(append(
+            tiles.push_back(append(
                 tree_.groups_, nodes.begin[tile + 1] - first,
                 [&](std::size_t i) -> const Node& { return nodes.nodes[first + i]; }));
         }
-        tree_.levels_.push_back(std::move(level));
     }
 
     const ShadowMap& map_;
@@ -776,15 +810,21 @@ PatchTree PatchTree::build(const ShadowMap& map, std::uint32_t face,
     return PatchBuilder(map, face, options).run();
 }
 
-const std::vector<PatchTree>& patchTrees(const ShadowMap& map) {
-    return map.queryData().get<std::vector<PatchTree>>([&] {
-        std::vector<PatchTree> trees;
-        for (std::uint32_t face = 0; face < map.faceCount(); ++face)
-            trees.push_back(PatchTree::build(
-                map, face,
-                {map.nearField(face).empty() ? kFlatAlone : kFlatBesideNearField}));
+const std::vector<PatchTree>* patchTrees(const ShadowMap& map) {
+    using Kept = std::vector<PatchTree>;
+    const Kept& kept = map.queryData().get<Kept>([&] {
+        Kept trees;
+        try {
+            for (std::uint32_t face = 0; face < map.faceCount(); ++face)
+                trees.push_back(PatchTree::build(
+                    map, face,
+                    {map.nearField(face).empty() ? kFlatAlone : kFlatBesideNearField}));
+        } catch (const std::bad_alloc&) {
+            trees = {};
+        }
         return trees;
     });
+    return kept.empty() ? nullptr : &kept;
 }
 
 std::uint64_t PatchTree::memoryBytes() const noexcept {

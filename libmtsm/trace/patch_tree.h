@@ -7,13 +7,15 @@
 // double. The children of a patch share out its samples among them, so whatever a ray
 // takes from a patch it must not take from the patch's children, and any cut through the
 // tree is the whole scene. A level 0 patch that is not flat has quarters of itself as
-// children, down to single pixels.
+// children, down to 4 x 4 pixels; if such a one is not flat, it holds for each of its
+// pixels how far its sample is from the plane: it is bumpy.
 //
 // Coverage. Texels of level 0 are pixels, covered or not. A texel of a coarser level
 // holds the share of its pixels that the patch covers, counted exactly and then in
 // sixteenths by ordered dither, so that no mean is off: a ray is blocked by the share,
 // against a threshold of its own.
 #pragma once
+#include <bit>
 #include <cstdint>
 #include <vector>
 
@@ -39,12 +41,23 @@ struct alignas(16) PatchGroup {
     /// Else one plane: all or nothing.
     bool shared[4];
     bool sheet[4];  ///< one connected surface that fills the box
+    bool bumpy[4];  ///< a leaf; its coverage is a BumpPlane
 };
 
 /// One bit per texel: bit x of row y.
 struct CoverPlane {
     std::uint16_t row[kTexels];
 };
+
+/// Of the pixels of a square of 4 x 4, row by row: the sample is
+/// `residual` / kSteps times this above the patch's plane there, w.
+struct BumpPlane {
+    static constexpr int kSide = 4;
+    static constexpr float kSteps = 32767.0f;
+    static constexpr std::int16_t kNone = -32768;  ///< no sample
+    std::int16_t offset[kSide * kSide];
+};
+static_assert(sizeof(BumpPlane) == sizeof(CoverPlane));
 
 class PatchTree {
   public:
@@ -53,7 +66,8 @@ class PatchTree {
         /// pixel footprints.
         float flatness = 0.3f;
     };
-    /// The tree of an opaque map's face; the same for any number of threads.
+    /// The tree of an opaque map's face; the same for any number of threads. Throws
+    /// std::bad_alloc, also where groups or covers are more than 32 bits count.
     [[nodiscard]] static PatchTree build(const ShadowMap& map, std::uint32_t face,
                                          const Options& options);
 
@@ -64,12 +78,16 @@ class PatchTree {
     struct Level {
         std::uint32_t side = 0;  ///< of a tile, pixels
         std::uint32_t columns = 0, rows = 0;
-        std::vector<Entry> tiles;  ///< row-major
+        std::vector<Entry> tiles;  ///< row-major; of level 0 none, if it is not the last
     };
 
     [[nodiscard]] const std::vector<Level>& levels() const noexcept { return levels_; }
     [[nodiscard]] const PatchGroup* groups() const noexcept { return groups_.data(); }
     [[nodiscard]] const CoverPlane* covers() const noexcept { return covers_.data(); }
+    /// Of a bumpy patch.
+    [[nodiscard]] BumpPlane bumps(std::uint32_t cover) const noexcept {
+        return std::bit_cast<BumpPlane>(covers_[cover]);
+    }
     /// Of all patches.
     [[nodiscard]] float lowest() const noexcept { return lowest_; }
     [[nodiscard]] float highest() const noexcept { return highest_; }
@@ -85,7 +103,8 @@ class PatchTree {
     std::size_t patchCount_ = 0;
 };
 
-/// The trees of an opaque map's faces, made when first asked for.
-[[nodiscard]] const std::vector<PatchTree>& patchTrees(const ShadowMap& map);
+/// The trees of an opaque map's faces, made when first asked for; null if there is no
+/// memory for them, for good.
+[[nodiscard]] const std::vector<PatchTree>* patchTrees(const ShadowMap& map);
 
 }  // namespace mtsm::trace

@@ -108,14 +108,14 @@ END
 # the sweep for equal error, the paper's settings, and what cost against resolution needs besides.
 methods() {
     local resolutions="512, 1024, 2048" near='"none"' further="" paper=1024
-    local counts="1, 4, 16, 64, 256" embree="1, 2, 4, 8, 16, 32, 64, 128, 256"
+    local counts="1, 2, 4, 8, 16, 32, 64, 128, 256" embree="1, 2, 4, 8, 16, 32, 64, 128, 256"
     case $1 in
     character | bumpy | palm | mesh) near='"none", "auto"' further="4096, 8192" ;;
     fur) further="4096" ;;
     giant-*) resolutions="2048" paper=2048 embree="1, 4, 16, 64, 256" ;;
     esac
     if [ -n "$quick" ]; then
-        resolutions=${resolutions%, 2048} further="" counts="1, 16, 256" embree="1, 4, 16, 64, 256"
+        resolutions=${resolutions%, 2048} further="" counts="1, 4, 16, 64, 256" embree="1, 4, 16, 64, 256"
     fi
     cat <<END
 [[method]]

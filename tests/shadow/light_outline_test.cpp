@@ -146,7 +146,7 @@ TEST_CASE("the rays of receivers lie within their hull", "[shadow][exact]") {
         all.include(halves[1]);
         if (round % 2) CHECK(all.above == 0xffff);
         if (all.above == 0) continue;
-        const auto hull = outline.hull(all);
+        const auto hull = outline.hull(all, 16);
         if (!hull) continue;
         ++known;
         bool inside = true;
@@ -184,11 +184,15 @@ TEST_CASE("the hull of one receiver is little wider than its light", "[shadow]")
     p.up = glm::cross(p.right, p.forward);
     const shadow::LightOutline outline(p, light::LightSampler(light));
     const Receiver receiver{{0.1, 0, 0.2}, glm::dvec3(0.0)};
-    const auto hull = outline.hull(outline.outlook(&receiver, 1));
+    const auto hull = outline.hull(outline.outlook(&receiver, 1), 4);
     REQUIRE(hull);
     // Seen from the receiver the light is a disk across the view's axis in its eye.
     CHECK(hull->slopeHighU - hull->slopeLowU ==
           Approx(2 * 0.25 * std::abs(p.scale.x)).epsilon(0.01));
     CHECK(hull->slopeHighV - hull->slopeLowV ==
           Approx(2 * 0.25 * std::abs(p.scale.y)).epsilon(0.01));
+    // A disk's rays are as dense as its area says; its box is larger.
+    const double area = 3.14159265 * 0.25 * 0.25 * std::abs(p.scale.x * p.scale.y);
+    CHECK(hull->spread >= std::sqrt(area / 4));
+    CHECK(hull->spread <= 1.2 * std::sqrt(area / 4));
 }

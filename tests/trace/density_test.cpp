@@ -416,6 +416,77 @@ TEST_CASE("what a ray meets does not depend on which rays share its bundle",
     }
 }
 
+TEST_CASE("a hull that meets nothing has no rays that lose light", "[trace][twin]") {
+    int free = 0, met = 0;
+    for (const bool sheets : {false, true}) {
+        for (const bool perspective : {false, true}) {
+            const std::uint32_t side = 64;
+            const Projection p =
+                perspective ? test::plainProjection(side, side) : parallel(side);
+            MapInfo info = mediaInfo(side);
+            if (sheets) info.translucent = Translucent::sheets;
+            Random random(41);
+            // Clumps with much room between them, walls among them.
+            const ShadowMap map = mapOf(info, p, [&](std::uint32_t x, std::uint32_t y) {
+                std::vector<TestLayer> layers;
+                const std::uint32_t clump = (x / 8 + 3 * (y / 8)) % 7;
+                if (clump > 2) return layers;
+                const auto z = float(3.0 + clump + random.in(0, 0.3));
+                layers.push_back({z, clump == 2 ? 0.0f : 0.6f, 1});
+                if (clump == 1) layers.push_back({z + 0.2f, 0.3f, 60});
+                return layers;
+            });
+            const DensityTree tree = treeOf(map);
+            Asked asked;
+            asked.bias = {0.01, 2e-3};
+            for (int round = 0; round < 600; ++round) {
+                asked.apart = round % 3 ? std::exp2(random.in(-6, 0)) : 0.0;
+                const double z = random.in(4, 9), size = std::exp2(random.in(-5, -1));
+                const glm::dvec3 at(random.in(-0.9, 0.9) * z, random.in(-0.9, 0.9) * z,
+                                    -z);
+                const glm::dvec3 light(random.in(-0.4, 0.4), random.in(-0.4, 0.4), 0.0);
+                std::vector<Ray> rays;
+                trace::RayHull hull{};
+                for (int i = 0; i < 24; ++i) {
+                    Ray ray;
+                    ray.origin =
+                        at + size * glm::dvec3(random.in(-1, 1), random.in(-1, 1),
+                                               random.in(-1, 1));
+                    const glm::dvec3 end =
+                        light + 0.2 * glm::dvec3(random.in(-1, 1), random.in(-1, 1), 0.0);
+                    // Parallel rays end above the window, not in one point.
+                    ray.delta = perspective ? end - ray.origin
+                                            : z * glm::dvec3(end.x / 4, end.y / 4, 1.0);
+                    rays.push_back(ray);
+                    const test::StraightRay r =
+                        test::straighten(p, ray, test::nearestOf(map, 0), asked.apart);
+                    const auto include = [i](float& low, float& high, double x) {
+                        low = i ? std::min(low, float(x)) : float(x);
+                        high = i ? std::max(high, float(x)) : float(x);
+                    };
+                    include(hull.uLow, hull.uHigh, r.start.x);
+                    include(hull.vLow, hull.vHigh, r.start.y);
+                    include(hull.wLow, hull.wHigh, r.start.z);
+                    include(hull.slopeLowU, hull.slopeHighU, r.delta.x / r.delta.z);
+                    include(hull.slopeLowV, hull.slopeHighV, r.delta.y / r.delta.z);
+                    hull.spread = std::max(hull.spread, float(r.spread));
+                }
+                hull.uLow -= 1e-3f, hull.uHigh += 1e-3f;
+                hull.vLow -= 1e-3f, hull.vHigh += 1e-3f;
+                hull.wFirst = hull.wLow;
+                const bool may =
+                    trace::mayMeet(tree, {asked.bias, asked.darkDepth}, hull);
+                ++(may ? met : free);
+                if (may) continue;
+                for (const auto& v : traceAll(map, tree, rays, asked))
+                    CHECK(v[0] == 1.0);
+            }
+        }
+    }
+    CHECK(free > 300);
+    CHECK(met > 300);
+}
+
 TEST_CASE(
     "rows add to their depths; rays that are closed meet nothing and dark ones "
     "are closed",

@@ -254,7 +254,7 @@ TEST_CASE("a hull that meets no triangle lies beside all of them", "[trace][twin
             const trace::RayHull hull{
                 float(from.x),    float(to.x),      float(from.y),    float(to.y),
                 float(from.z),    float(to.z),      float(slopes[0]), float(slopes[1]),
-                float(slopes[2]), float(slopes[3]), float(from.z)};
+                float(slopes[2]), float(slopes[3]), float(from.z),    0.0f};
             // Corners of triangles that lie within reach of a ray.
             bool inside = false;
             for (const Triangle& t : triangles) {
@@ -273,7 +273,7 @@ TEST_CASE("a hull that meets no triangle lies beside all of them", "[trace][twin
     }
     CHECK(free > 200);
     CHECK(met > 200);
-    const trace::RayHull hull{0, 64, 0, 64, 0.01f, 0.02f, -9, 9, -9, 9, 0.01f};
+    const trace::RayHull hull{0, 64, 0, 64, 0.01f, 0.02f, -9, 9, -9, 9, 0.01f, 0.0f};
     CHECK_FALSE(trace::mayMeet(mapOfTriangles({}).nearField(0), hull, 1.0f));
 }
 

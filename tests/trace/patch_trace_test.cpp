@@ -288,6 +288,98 @@ TEST_CASE(
     }
 }
 
+TEST_CASE("rough surfaces block by their pixels, each on a plane of its own",
+          "[trace][twin]") {
+    Random random(12);
+    const ShadowMap map = mapOf(
+        test::plainInfo(kWidth, kHeight, 64), test::plainProjection(kWidth, kHeight),
+        [&](std::uint32_t x, std::uint32_t y) {
+            if ((x / 5 + y / 3) % 4 == 0) return std::vector<TestLayer>{};
+            const double w = 0.25 + 1.4 * kFootprint * random.in(-1, 1);
+            return std::vector<TestLayer>{{float(1.0 / w), 0.0f, 1}};
+        });
+    const PatchTree tree = treeOf(map);
+    // All pixels of its leaves: their planes.
+    struct Pixel {
+        double u, v, w, perU, perV;
+    };
+    std::vector<Pixel> pixels;
+    std::size_t bumpy = 0;
+    const auto add = [&](const trace::PatchGroup& g, int i, double u, double v,
+                         double above) {
+        pixels.push_back({u, v,
+                          g.w[i] + g.gradientU[i] * (u + 0.5 - g.u[i]) +
+                              g.gradientV[i] * (v + 0.5 - g.v[i]) + above,
+                          g.gradientU[i], g.gradientV[i]});
+    };
+    const auto addLeaf = [&](const trace::PatchGroup& g, int i) {
+        if (!g.bumpy[i]) {
+            const double u = std::floor(g.u[i] / 16) * 16,
+                         v = std::floor(g.v[i] / 16) * 16;
+            for (int t = 0; t < 256; ++t) {
+                if (tree.covers()[g.cover[i]].row[t / 16] >> (t % 16) & 1)
+                    add(g, i, u + t % 16, v + t / 16, 0.0);
+            }
+            return;
+        }
+        const trace::BumpPlane bumps = tree.bumps(g.cover[i]);
+        const double u = std::floor(g.u[i] / 4) * 4, v = std::floor(g.v[i] / 4) * 4;
+        for (int t = 0; t < 16; ++t) {
+            if (bumps.offset[t] == trace::BumpPlane::kNone) continue;
+            add(g, i, u + t % 4, v + t / 4,
+                double(g.residual[i]) * bumps.offset[t] / trace::BumpPlane::kSteps);
+            ++bumpy;
+        }
+    };
+    std::vector<PatchTree::Entry> waiting = tree.levels().back().tiles;
+    while (!waiting.empty()) {
+        const PatchTree::Entry entry = waiting.back();
+        waiting.pop_back();
+        for (std::uint32_t n = entry.group; n < entry.group + entry.groups; ++n) {
+            const trace::PatchGroup& g = tree.groups()[n];
+            for (int i = 0; i < 4; ++i) {
+                if (g.high[i] == -HUGE_VALF) continue;
+                if (g.childGroups[i] > 0)
+                    waiting.push_back({g.children[i], g.childGroups[i]});
+                else
+                    addLeaf(g, i);
+            }
+        }
+    }
+    REQUIRE(pixels.size() == map.layerCount());
+    CHECK(bumpy > pixels.size() / 2);
+    onEachTarget([&](const char* target) {
+        INFO(target);
+        int blocked = 0, passed = 0, wrong = 0;
+        for (int round = 0; round < 12; ++round) {
+            const Rays rays = raysUp(random, 4, 2), after = traced(tree, rays);
+            for (int row = 0; row < rays.rows(); ++row) {
+                const glm::dvec3 start = rays.start(row / 2);
+                for (int lane = 0; lane < kLanes; ++lane) {
+                    const glm::dvec3 d = rays.delta(row, lane);
+                    bool hit = false, close = false;
+                    for (const Pixel& p : pixels) {
+                        const double s = (p.w + p.perU * (start.x - p.u - 0.5) +
+                                          p.perV * (start.y - p.v - 0.5) - start.z) /
+                                         (d.z - p.perU * d.x - p.perV * d.y);
+                        const double x = std::abs(start.x + s * d.x - p.u - 0.5),
+                                     y = std::abs(start.y + s * d.y - p.v - 0.5);
+                        const double out = std::max(x, y) - 0.5;
+                        hit = hit || (s > 0 && s <= 1 && out < -1e-3);
+                        close = close || std::abs(out) <= 1e-3;
+                    }
+                    if (close && !hit) continue;
+                    wrong += after.isOpen(row, lane) == hit;
+                    ++(hit ? blocked : passed);
+                }
+            }
+        }
+        CHECK(wrong == 0);
+        CHECK(blocked > 300);
+        CHECK(passed > 100);
+    });
+}
+
 TEST_CASE("what a sheet closes early is what its pixels block", "[trace][exact]") {
     Random random(3);
     for (const Wall& wall : walls()) {
@@ -426,12 +518,21 @@ TEST_CASE("a hull that meets nothing has no rays that are blocked", "[trace][twi
         const PatchTree tree = treeOf(islands.map(layers));
         for (int round = 0; round < 1500; ++round) {
             const double reach = std::exp2(islands.random.in(-3, 4));
-            const Rays rays = raysUp(islands.random, 6, 2, reach);
+            Rays rays = raysUp(islands.random, 6, 2, reach);
+            // Coarse answers are not always those of the pixels.
+            const double spread = round % 2 ? std::exp2(islands.random.in(2, 9)) : 0.0;
             const trace::RayBundle& b = rays.bundle;
+            int level = 0;
+            for (double side = 16;
+                 round % 2 &&
+                 side < (b.slopeHighU[0] - b.slopeLowU[0]) * (tree.highest() - b.w[0]);
+                 side *= 2)
+                ++level;
+            setCoarseness(rays, spread, level);
             trace::RayHull hull{
-                b.u[0], b.u[0],         b.v[0],          b.v[0],         b.w[0],
-                b.w[0], b.slopeLowU[0], b.slopeHighU[0], b.slopeLowV[0], b.slopeHighV[0],
-                0.0f};
+                b.u[0],         b.u[0],          b.v[0],         b.v[0],
+                b.w[0],         b.w[0],          b.slopeLowU[0], b.slopeHighU[0],
+                b.slopeLowV[0], b.slopeHighV[0], 0.0f,           float(spread)};
             for (int i = 1; i < 6; ++i) {
                 hull.uLow = std::min(hull.uLow, b.u[i]);
                 hull.uHigh = std::max(hull.uHigh, b.u[i]);

@@ -6,25 +6,41 @@
 //
 // Points, normals and rays are in world space, lengths in world units. Visibility runs
 // from 0 (dark) to 1 (clear); shadow factor = 1 - visibility. A map never changes once
-// made: any number of threads may query it at once. A query allocates nothing and cannot
-// fail; answers are finite whatever the input. The same map, point, light and seed give
-// the same light samples on any machine, and the same answer alone or in a batch, for any
-// number of threads (from machine to machine the last bits are the C library's).
+// made: any number of threads may query it at once. A query cannot fail; answers are
+// finite whatever the input. It takes memory for the trees below, once for each map, and
+// for the order of a batch's points; where there is none it goes ray by ray, slowly (and,
+// if it was for the trees, so do the map's later queries).
+//
+// The same map, point, light and seed give the same light samples on any machine, and on
+// one machine the same answer alone or in a batch, for any number of threads. From kind
+// of processor to kind of processor (and C library) what rays meet is rounded
+// differently in the last bits: a ray that passes an edge that closely may be met on one
+// and not on the other.
 //
 // What the bias does: a layer is met within the bias of its depth, so that no ray slips
 // between two pixels of a tilted surface; and without a normal, rays start five biases
 // away from the receiver, so that its own surface does not darken it. With a normal they
-// start at the receiver, and what lies on its tangent plane does not count.
+// start at the receiver, and what lies on its tangent plane does not count. Of opaque
+// maps `trace` thickens nothing: its surfaces are pieces of tilted planes, and a larger
+// bias only moves the starts of rays without normals.
 //
 // How it is traced (ShadowMethod::trace). Points are put into groups of neighbours whose
 // rays share their way through trees over the map's layers, which the first query makes
 // (prepareQueries makes them ahead); none of that changes an answer. A ray takes from as
 // coarse a level as its neighbours to the same light are apart. Of an opaque map layers
-// are pieces of tilted planes, which need no bias to close; and where the map has a near
-// field (mtsm/near_field.h), what lies within 32 pixel footprints of depth above the
-// receiver is met exactly. Visibility of media and sheets is kept to .0004. Maps of six
-// faces, Attenuation::subtract, single rays, and points further than 8 windows outside
-// the view are followed ray by ray: ShadowMethod::scalar, the definition.
+// are pieces of tilted planes, up to three pixel footprints of depth from pixel to pixel;
+// steeper ones let some of the light through. Where the map has a near field
+// (mtsm/near_field.h), what lies within 32 pixel footprints of depth above the receiver
+// is met exactly. Visibility of media and sheets is kept to .0004. Of six faces each is
+// followed by itself, sheets at the border between two by both. Attenuation::subtract,
+// maps of more than 2^28 layers, and points further than 8 windows outside the view or
+// closer to the light than any layer are followed ray by ray: ShadowMethod::scalar, the
+// definition, which knows no near field.
+//
+// Rays of your own (visibility, visibilities) go the same way, those of a batch that
+// follow each other from one origin together. Each counts for itself, down to the finest
+// level, unless RayOptions::spread says how dense they are. Through opaque maps rays
+// without a spread are followed by the definition, which is as fast for them.
 //
 // In a map of media (MapInfo::translucent) that holds for opaque surfaces. Hair and
 // volumes are met at exact crossings, and without a normal from one pixel footprint away
@@ -51,8 +67,8 @@ namespace mtsm {
 
 enum class ShadowMethod {
     trace,  ///< rays through the map, many at once [Xie07, sec. 4.3, 5.2]
-    /// The same ray by ray and layer by layer, as the paper does: what `trace` is judged
-    /// by.
+    /// The same ray by ray and layer by layer, as the paper does, without the near field:
+    /// what `trace` is judged by.
     scalar,
     /// Percentage-closer filtering, size from eq. 1 [Xie07, sec. 3]: for small lights. Of
     /// a transparent map it filters the visibility at the receiver's depth, the product
@@ -160,6 +176,12 @@ struct ShadowRay {
 struct RayOptions {
     float bias = -1.0f;             ///< z threshold, world units; negative: the map's own
     float threshold = 1.0f / 1024;  ///< with less visibility left the ray is dark
+    ShadowMethod method = ShadowMethod::trace;  ///< or scalar; pcf knows no rays: scalar
+    /// Angle between neighbouring rays of one origin, radians: `trace` may answer what
+    /// looks smaller from there coarsely. Of N rays to a light of solid angle S it is
+    /// sqrt(S / N). Rays that follow each other from one origin, up to 256, then are
+    /// answered as one set. 0: every ray is taken for itself.
+    float spread = 0.0f;
     Attenuation attenuation = Attenuation::multiply;
 };
 
@@ -172,7 +194,8 @@ struct RayOptions {
 [[nodiscard]] glm::vec3 visibilityColor(const ShadowMap& map, const ShadowRay& ray,
                                         const RayOptions& options = {}) noexcept;
 
-/// The same for `count` rays, in the caller's oneTBB arena.
+/// The same for `count` rays, in the caller's oneTBB arena. Fastest if rays of one origin
+/// follow each other.
 void visibilities(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
                   float* out, const RayOptions& options = {}) noexcept;
 void visibilitiesColor(const ShadowMap& map, const ShadowRay* rays, std::size_t count,

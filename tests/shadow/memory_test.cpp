@@ -1,0 +1,149 @@
+// Without memory for trees and batches queries are answered all the same.
+#include <atomic>
+#include <catch2/catch.hpp>
+#include <cmath>
+#include <cstdlib>
+#include <new>
+#include <vector>
+
+#include "map_fixture.h"
+#include "mtsm/shadow.h"
+
+using namespace mtsm;
+
+namespace {
+
+/// How many more times memory is given; below 0: always. Of the test's own thread: what
+/// oneTBB's threads do beside it is not counted.
+thread_local long left = -1;
+
+void* give(std::size_t size, std::size_t alignment) {
+    if (left == 0) throw std::bad_alloc();
+    if (left > 0) --left;
+    const std::size_t whole = (size + alignment - 1) / alignment * alignment;
+    void* p = alignment > alignof(std::max_align_t) ? std::aligned_alloc(alignment, whole)
+                                                    : std::malloc(size ? size : 1);
+    if (!p) throw std::bad_alloc();
+    return p;
+}
+
+void* giveOrNot(std::size_t size, std::size_t alignment) noexcept {
+    try {
+        return give(size, alignment);
+    } catch (const std::bad_alloc&) {
+        return nullptr;
+    }
+}
+
+}  // namespace
+
+// All of them: a sanitizer's own must not be mixed with these.
+using std::align_val_t, std::nothrow_t, std::size_t;
+void* operator new(size_t n) {
+    return give(n, 1);
+}
+void* operator new[](size_t n) {
+    return give(n, 1);
+}
+void* operator new(size_t n, align_val_t a) {
+    return give(n, size_t(a));
+}
+void* operator new[](size_t n, align_val_t a) {
+    return give(n, size_t(a));
+}
+void* operator new(size_t n, const nothrow_t&) noexcept {
+    return giveOrNot(n, 1);
+}
+void* operator new[](size_t n, const nothrow_t&) noexcept {
+    return giveOrNot(n, 1);
+}
+void* operator new(size_t n, align_val_t a, const nothrow_t&) noexcept {
+    return giveOrNot(n, size_t(a));
+}
+void* operator new[](size_t n, align_val_t a, const nothrow_t&) noexcept {
+    return giveOrNot(n, size_t(a));
+}
+void operator delete(void* p) noexcept {
+    std::free(p);
+}
+void operator delete[](void* p) noexcept {
+    std::free(p);
+}
+void operator delete(void* p, size_t) noexcept {
+    std::free(p);
+}
+void operator delete[](void* p, size_t) noexcept {
+    std::free(p);
+}
+void operator delete(void* p, align_val_t) noexcept {
+    std::free(p);
+}
+void operator delete[](void* p, align_val_t) noexcept {
+    std::free(p);
+}
+void operator delete(void* p, size_t, align_val_t) noexcept {
+    std::free(p);
+}
+void operator delete[](void* p, size_t, align_val_t) noexcept {
+    std::free(p);
+}
+
+TEST_CASE("queries that run out of memory anywhere are answered ray by ray", "[shadow]") {
+    for (const bool opaque : {true, false}) {
+        MapInfo info = test::plainInfo(32, 32, 16);
+        info.light.shape = LightShape::disk;
+        info.light.radius = 0.2;
+        info.light.direction = {0, 0, -1};
+        info.bias = 0.05f;
+        const auto make = [&] {
+            return test::mapOf(
+                info, test::plainProjection(32, 32), [&](std::uint32_t x, std::uint32_t) {
+                    return x < 16
+                               ? std::vector<test::TestLayer>{{2.0f, opaque ? 0.0f : 0.5f,
+                                                               1}}
+                               : std::vector<test::TestLayer>{};
+                });
+        };
+        const std::size_t count = 300;
+        std::vector<glm::dvec3> points;
+        std::vector<ShadowRay> rays;
+        for (std::size_t i = 0; i < count; ++i) {
+            points.push_back({3.8 * (double(i) / count - 0.5), 0.1, -4});
+            rays.push_back({points.back(), {0, 0, 1}, 4.0});
+        }
+        ShadowOptions scalar;
+        scalar.method = ShadowMethod::scalar;
+        std::vector<float> expected(count), found(count), visible(count);
+        const ShadowMap first = make();
+        shadowFactors(first, info.light, points.data(), nullptr, count, expected.data(),
+                      scalar);
+        // One allocation more each time, until there is enough.
+        int answered = 0;
+        for (long given = 0; given < 4000; given += 1 + given / 16) {
+            const ShadowMap map = make();
+            RayOptions dense;
+            dense.spread = 0.01f;
+            left = given;
+            shadowFactors(map, info.light, points.data(), nullptr, count, found.data());
+            visibilities(map, rays.data(), count, visible.data(), dense);
+            prepareQueries(map);
+            const std::uint64_t bytes = queryMemoryBytes(map);
+            const bool enough = left > 0;
+            left = -1;
+            INFO("opaque " << opaque << " allocations " << given);
+            CHECK(bytes >= map.memoryBytes());
+            double away = 0.0;
+            for (std::size_t i = 0; i < count; ++i) {
+                away += std::abs(found[i] - expected[i]) / double(count);
+                const bool behind = points[i].x < 0.0;
+                if (std::abs(points[i].x) > 0.3)
+                    CHECK(visible[i] ==
+                          Approx(behind ? (opaque ? 0.0 : 0.5) : 1.0).margin(4e-4));
+            }
+            CHECK(away < 0.01);
+            ++answered;
+            if (enough) break;
+        }
+        CHECK(answered > 5);
+    }
+}
