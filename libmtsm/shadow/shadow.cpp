@@ -84,7 +84,8 @@ class Groups {
               shadow::BundleQuery::Sums* sums, std::size_t count) {
         bundles_.look(receivers, int(count), step, sums, stats_);
         for (std::size_t k = 0; k < count; ++k) {
-            if (bundles_.isEnough(sums[k], step))
+            if (step + 1 >= shadow::SampleSteps::kMost ||
+                bundles_.isEnough(sums[k], step))
                 take_(points[k], bundles_.answerOf(sums[k], step));
             else
                 wait(step + 1, receivers[k], points[k], sums[k]);
