@@ -7,16 +7,18 @@
 
 namespace mtsm::bake_detail {
 
+bool isSolid(const MeshView& mesh) noexcept {
+    return mesh.texture ? !mesh.texture->translucent()
+                        : mesh.opacity == 1.0f || mesh.opacity == 0.0f;
+}
+
 Result<CasterKinds> kindsOf(Visits& visits) {
     CasterKinds kinds;
     bool known = false;
     const Status status = visits.each([&](const CasterView& caster) -> Status {
         if (auto s = visits.progress()("reading casters", -1.0); !s) return s;
         if (const auto* mesh = std::get_if<MeshView>(&caster)) {
-            const bool solid = mesh->texture
-                                   ? !mesh->texture->translucent()
-                                   : mesh->opacity == 1.0f || mesh->opacity == 0.0f;
-            kinds.translucent = kinds.translucent || !solid;
+            kinds.translucent = kinds.translucent || !isSolid(*mesh);
             return {};
         }
         const auto* strands = std::get_if<StrandsView>(&caster);

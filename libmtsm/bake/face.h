@@ -17,6 +17,8 @@ struct CasterKinds {
     bool media = false;        ///< some caster is hair or a volume
 };
 
+/// Does it stop all light or none, wherever it is?
+[[nodiscard]] bool isSolid(const MeshView& mesh) noexcept;
 /// Visits the casters until all is known.
 Result<CasterKinds> kindsOf(Visits& visits);
 
