@@ -293,7 +293,7 @@ MAGIC = b"\x89MTSM\r\n\x1a"
 FINISHED = b"MTSM END"
 HEADER = 32  # bytes of a block header
 TRAILER = 32
-KNOWN = {b"HEAD": 1, b"ATTR": 0, b"NEAR": 0, b"HIER": 1, b"TOTL": 1}  # flags
+KNOWN = {b"HEAD": 1, b"ATTR": 0, b"NEAR": 0, b"HAIR": 0, b"HIER": 1, b"TOTL": 1}  # flags
 MAX_SIDE = 32768
 MAX_PIXEL_LAYERS = 1 << 20
 MAX_DIRECTORY = 65536
@@ -415,7 +415,7 @@ class File:
         kinds = [entry[0] for entry in self.directory]
         for kind in (b"HEAD", b"HIER", b"TOTL"):
             need(kinds.count(kind) == 1, "index: not one block %r" % kind)
-        for kind in (b"ATTR", b"NEAR"):
+        for kind in (b"ATTR", b"NEAR", b"HAIR"):
             need(kinds.count(kind) <= 1, "index: more than one block %r" % kind)
         need(kinds[0] == b"HEAD" and self.directory[0][2] == 64,
              "index: block HEAD is not the first")
@@ -448,9 +448,10 @@ class File:
     def read_directory(self):
         readers = {b"HEAD": self.read_head, b"ATTR": self.read_attributes,
                    b"TOTL": self.read_totals, b"HIER": self.read_hierarchy,
-                   b"NEAR": self.read_near}
+                   b"NEAR": self.read_near, b"HAIR": self.read_hair}
         self.out["attributes"] = []
         self.out["nearField"] = [[] for _ in range(self.faces)]
+        self.out["nearHair"] = [[] for _ in range(self.faces)]
         for kind, flags, offset, length, payload_checksum in self.directory:
             name = "block %s" % kind.decode("latin-1")
             payload = self.block(name, kind, flags, offset, length, payload_checksum)
@@ -575,47 +576,98 @@ class File:
 
     # S 7.2
     def read_near(self, c):
+        for face, part, n, points in self.near_parts(
+                c, 312, lambda n, points: 72 * n + 6 * points,
+                lambda n, points: n <= points <= 48 * n):
+            self.out["nearField"][face] += self.read_near_part(part, n, points)
+
+    # S 7.3
+    def read_hair(self, c):
+        faces = self.out["projections"]
+        for face, part, n, _ in self.near_parts(c, 284, lambda n, _: 284 * n,
+                                                lambda _, points: points == 0):
+            most = 0.5 if faces[face]["kind"] == 0 else math.inf
+            self.out["nearHair"][face] += self.read_hair_part(part, n, most)
+
+    def near_parts(self, c, memory, size_of, may_have):
+        """Yields (face, content, chunks, points) of each part."""
         faces, part_chunks = c.fields("II")
         need(faces == self.faces, "%s: %d faces" % (c.what, faces))
         need(1 <= part_chunks <= MAX_PART_CHUNKS,
              "%s: parts of %d chunks" % (c.what, part_chunks))
         chunks = [c.fields("Q") for _ in range(faces)]
-        need(sum(chunks) * 312 <= self.max_bytes, "more chunks than --max-bytes allows")
+        need(sum(chunks) * memory <= self.max_bytes, "more chunks than --max-bytes allows")
         parts = [(face, min(part_chunks, chunks[face] - first))
                  for face in range(faces) for first in range(0, chunks[face], part_chunks)]
         records = [c.fields("II") for _ in parts]
         for i, ((face, n), (points, stored)) in enumerate(zip(parts, records)):
             part = Cursor(c.bytes(stored), "%s, part %d" % (c.what, i))
-            need(n <= points <= 48 * n, "%s: %d points" % (part.what, points))
-            size = 72 * n + 6 * points
+            need(may_have(n, points), "%s: %d points" % (part.what, points))
+            size = size_of(n, points)
             need(1 <= stored <= size, "%s: stores %d bytes" % (part.what, stored))
             if stored < size:
                 try:
                     part.data = decompress(part.data, size)
                 except Bad as error:
                     raise Bad("%s: %s" % (part.what, error))
-            self.out["nearField"][face] += self.read_near_part(part, n, points)
+            yield face, part, n, points
         c.end()
 
     @staticmethod
-    def read_near_part(part, n, points):
-        """A list of chunks, each low, step and q as [corner][axis][triangle]."""
-        def shuffled(count, size, form):
-            data = part.bytes(count * size)
-            return struct.unpack("<%d%s" % (count, form), bytes(
-                data[j * count + i] for i in range(count) for j in range(size)))
+    def shuffled(part, count, form):
+        size = struct.calcsize(form)
+        data = part.bytes(count * size)
+        return struct.unpack("<%d%s" % (count, form), bytes(
+            data[j * count + i] for i in range(count) for j in range(size)))
 
-        floats = shuffled(6 * n, 4, "f")
+    @staticmethod
+    def check_grid(part, k, low, step):
+        # What 65535 steps come to, rounded as S 7.2 has it; beyond f32 is infinite.
+        for a, b in zip(low, step):
+            need(math.isfinite(a) and 0 <= b and f32(a + f32(65535 * b)) < math.inf,
+                 "%s: chunk %d: low %r, step %r" % (part.what, k, a, b))
+
+    @classmethod
+    def read_hair_part(cls, part, n, most):
+        """A list of chunks, each low, step, halfStep and q as [end][axis][segment]."""
+        def signed(r):
+            return r // 2 if r % 2 == 0 else -(r + 1) // 2
+
+        floats = cls.shuffled(part, 7 * n, "f")
+        words = cls.shuffled(part, 112 * n, "H")
+        halves = part.bytes(32 * n)
+        part.end()
+        chunks = []
+        for k in range(n):
+            low, step, half_step = floats[k:3 * n:n], floats[3 * n + k:6 * n:n], floats[6 * n + k]
+            cls.check_grid(part, k, low, step)
+            need(0 <= half_step and f32(255 * half_step) <= most and
+                 f32(255 * half_step) < math.inf,
+                 "%s: chunk %d: halfStep %r" % (part.what, k, half_step))
+            word = [words[16 * (i * n + k):16 * (i * n + k) + 16] for i in range(7)]
+            end = [[[], [], []], [[], [], []]]
+            for axis in range(3):
+                before = 0
+                for t in range(16):
+                    before = (before + signed(word[axis][t])) % 65536
+                    end[0][axis].append(before)
+                    end[1][axis].append((before + signed(word[3 + axis][t])) % 65536)
+            half = [list(halves[16 * (e * n + k):16 * (e * n + k) + 16]) for e in range(2)]
+            chunks.append(dict(low=low, step=step, halfStep=half_step, end=end, half=half,
+                               opacity=list(word[6])))
+        return chunks
+
+    @classmethod
+    def read_near_part(cls, part, n, points):
+        """A list of chunks, each low, step and q as [corner][axis][triangle]."""
+        floats = cls.shuffled(part, 6 * n, "f")
         ago = part.bytes(48 * n)
-        residuals = shuffled(3 * points, 2, "H")
+        residuals = cls.shuffled(part, 3 * points, "H")
         part.end()
         chunks, at = [], 0
         for k in range(n):
             low, step = floats[k:3 * n:n], floats[3 * n + k::n]
-            # What 65535 steps come to, rounded as S 7.2 has it; beyond f32 is infinite.
-            for a, b in zip(low, step):
-                need(math.isfinite(a) and 0 <= b and f32(a + f32(65535 * b)) < math.inf,
-                     "%s: chunk %d: low %r, step %r" % (part.what, k, a, b))
+            cls.check_grid(part, k, low, step)
             known = []
             q = [[[0] * 16 for _ in range(3)] for _ in range(3)]
             for i in range(48):

@@ -213,10 +213,11 @@ void addLayerOptions(CLI::App& app, Arguments& a) {
                  "keep layers that no point of the light can see")
         ->group(group);
     addChecked(app, "--near-field", a.nearField, "auto|none|SIZE", parseNearField,
-               "keep the triangles themselves as well, for exact\n"
-               "shadows next to what casts them, if they take at\n"
-               "most SIZE in memory: 32M; auto: 64M (default: auto);\n"
-               "only of casters that are all opaque triangles")
+               "keep triangles and strands themselves as well, for\n"
+               "exact shadows next to what casts them, if they take\n"
+               "at most SIZE in memory: 32M; auto: 64M (default:\n"
+               "auto); only of casters that are all opaque triangles\n"
+               "and strands of hair")
         ->group(group);
     addNumber(app, "--rounding", a.rounding, {0.0, 1.0}, "S",
               "depths may be off by this share of the z threshold,\n"
@@ -568,13 +569,22 @@ void sayWhatWasRead(Talk& talk, const BakeReport& r) {
             "--fov, --near, --far and where the light looks");
 }
 
+std::string nearItemsText(const BakeReport& r) {
+    std::string text;
+    if (r.nearTriangles > 0 || r.nearSegments == 0)
+        text = counted(r.nearTriangles, "triangle", "triangles");
+    if (r.nearSegments > 0)
+        text += (text.empty() ? "" : " and ") +
+                counted(r.nearSegments, "segment", "segments");
+    return text;
+}
+
 /// What came of --near-field. That auto keeps none is no reason to worry.
 void sayNearField(Talk& talk, const BakeReport& r, const Arguments& a) {
     if (r.noNearField.empty()) {
         if (r.nearBytes)
-            talk.say("near field: " + counted(r.nearTriangles, "triangle", "triangles") +
-                     ", " + bytesText(r.nearBytes) + " in memory, in " +
-                     secondsText(r.nearSeconds));
+            talk.say("near field: " + nearItemsText(r) + ", " + bytesText(r.nearBytes) +
+                     " in memory, in " + secondsText(r.nearSeconds));
         return;
     }
     const std::string text = "no near field: " + r.noNearField;
@@ -671,6 +681,7 @@ nlohmann::ordered_json reportJson(const Baked& baked, const Arguments& a,
                     {"outside", r.outside},       {"clipped", r.clipped}};
     j["nearField"] = {{"kept", r.nearBytes > 0 && r.noNearField.empty()},
                       {"triangles", r.nearTriangles},
+                      {"segments", r.nearSegments},
                       {"bytes", r.nearBytes},
                       {"reason", r.noNearField}};
     j["passes"] = r.passes;

@@ -165,6 +165,7 @@ ordered_json summaryJson(const Arguments& a, const Description& d, const ShadowM
     j["opaqueTiles"] = d.opaqueTiles;
     j["translucentTiles"] = translucentTiles(d);
     j["nearField"] = {{"triangles", d.nearTriangles},
+                      {"segments", d.nearSegments},
                       {"chunks", d.nearChunks},
                       {"memoryBytes", d.nearBytes}};
     j["memoryBytes"] = map.memoryBytes();
@@ -290,9 +291,12 @@ void byteRows(Rows& rows, const ShadowMap& map, const Description& d) {
                            : ""));
     rows.row("in memory", bytesText(map.memoryBytes()));
     if (d.nearChunks)
-        rows.row("near field", counted(d.nearTriangles, "triangle") + " in " +
-                                   counted(d.nearChunks, "chunk") + ", " +
-                                   bytesText(d.nearBytes) + " in memory");
+        rows.row("near field",
+                 (d.nearTriangles ? counted(d.nearTriangles, "triangle") : "") +
+                     (d.nearTriangles && d.nearSegments ? " and " : "") +
+                     (d.nearSegments ? counted(d.nearSegments, "segment") : "") + " in " +
+                     counted(d.nearChunks, "chunk") + ", " + bytesText(d.nearBytes) +
+                     " in memory");
     for (const Description::Plane& p : d.planes) {
         if (p.planes)
             rows.row("plane " + p.name, share(p.storedBytes, d.fileBytes, bytesText) +

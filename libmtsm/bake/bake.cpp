@@ -165,7 +165,7 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
         if (!options.cube) {
             if (auto s = checkOutside(*face, info, report); !s) return s.error();
         }
-        faces.push_back({projection, std::move(face->tiles), {}});
+        faces.push_back({projection, std::move(face->tiles), {}, {}});
         if (!options.keepHidden && !options.cube) {
             if (auto s = progress("dropping what no light sees", -1.0); !s)
                 return s.error();

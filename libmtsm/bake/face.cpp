@@ -12,6 +12,14 @@ bool isSolid(const MeshView& mesh) noexcept {
                         : mesh.opacity == 1.0f || mesh.opacity == 0.0f;
 }
 
+bool isThere(const StrandsView& strands) noexcept {
+    return strands.strandCount > 0;
+}
+
+bool isThere(const VolumeView& volume) noexcept {
+    return volume.blockCount > 0 && volume.extinction != 0.0f;
+}
+
 Result<CasterKinds> kindsOf(Visits& visits) {
     CasterKinds kinds;
     bool known = false;
@@ -23,9 +31,7 @@ Result<CasterKinds> kindsOf(Visits& visits) {
         }
         const auto* strands = std::get_if<StrandsView>(&caster);
         const auto* volume = std::get_if<VolumeView>(&caster);
-        if ((strands && strands->strandCount == 0) ||
-            (volume && (volume->blockCount == 0 || volume->extinction == 0.0f)))
-            return {};
+        if ((strands && !isThere(*strands)) || (volume && !isThere(*volume))) return {};
         kinds.translucent = kinds.media = known = true;
         return Error{ErrorCode::cancelled, "all is known"};
     });

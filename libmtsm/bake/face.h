@@ -19,6 +19,10 @@ struct CasterKinds {
 
 /// Does it stop all light or none, wherever it is?
 [[nodiscard]] bool isSolid(const MeshView& mesh) noexcept;
+/// False: it is not there.
+[[nodiscard]] bool isThere(const StrandsView& strands) noexcept;
+[[nodiscard]] bool isThere(const VolumeView& volume) noexcept;
+
 /// Visits the casters until all is known.
 Result<CasterKinds> kindsOf(Visits& visits);
 

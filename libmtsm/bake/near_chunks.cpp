@@ -13,20 +13,33 @@ namespace {
 
 constexpr int kAxisBits = 16;                // of a cell of the Hilbert curve
 constexpr double kFinestStep = 1.0 / 256.0;  // pixels, footprints
-constexpr double kFineReach = 255.0;         // of chunks of triangles up to kFineSize
+constexpr double kFineReach = 255.0;         // of chunks of items up to kFineSize
 constexpr double kFineSize = 64.0;
 constexpr double kCoarseReach = 2047.0;
 constexpr std::size_t kPerTask = 4096;
 
+// What makes a chunk of triangles and of segments differ: their points, [u, v, w] each.
+using Triangle = NearTriangle;
+using Segment = NearSegment;
+const float (&pointsOf(const Triangle& t))[3][3] {
+    return t.corner;
+}
+const float (&pointsOf(const Segment& s))[2][3] {
+    return s.end;
+}
+
 struct Box {
     float low[3], high[3];
 
-    explicit Box(const NearTriangle& t) {
+    template <typename Item>
+    explicit Box(const Item& item) {
+        const auto& points = pointsOf(item);
         for (int axis = 0; axis < 3; ++axis) {
-            const float a = t.corner[0][axis], b = t.corner[1][axis],
-                        c = t.corner[2][axis];
-            low[axis] = std::min({a, b, c});
-            high[axis] = std::max({a, b, c});
+            low[axis] = high[axis] = points[0][axis];
+            for (const auto& p : points) {
+                low[axis] = std::min(low[axis], p[axis]);
+                high[axis] = std::max(high[axis], p[axis]);
+            }
         }
     }
     void add(const Box& other) {
@@ -63,12 +76,14 @@ struct Footprints {
         constexpr double kLn2 = 0.6931471805599453;
         return std::bit_cast<std::int32_t>(float(w)) * (kLn2 * 0x1p-23) / perPixel;
     }
-    /// Of a triangle's centre.
-    [[nodiscard]] glm::dvec3 place(const NearTriangle& t) const {
+    /// Of the centre.
+    template <typename Item>
+    [[nodiscard]] glm::dvec3 place(const Item& item) const {
         glm::dvec3 sum(0.0);
-        for (const auto& corner : t.corner)
-            sum += glm::dvec3(corner[0], corner[1], corner[2]);
-        sum /= 3.0;
+        const auto& points = pointsOf(item);
+        for (const auto& p : points)
+            sum += glm::dvec3(p[0], p[1], p[2]);
+        sum /= double(std::size(points));
         return {sum.x, sum.y, depth(sum.z)};
     }
 };
@@ -83,27 +98,27 @@ std::uint64_t sizeClass(double size) {
 
 struct Entry {
     std::uint64_t key;
-    std::uint32_t triangle;
+    std::uint32_t item;
 };
 
-/// All triangles in the order in which they are cut into chunks.
-std::vector<Entry> sorted(const std::vector<NearTriangle>& triangles,
-                          const Footprints& footprints) {
+/// All triangles or segments in the order in which they are cut into chunks.
+template <typename Item>
+std::vector<Entry> sorted(const std::vector<Item>& items, const Footprints& footprints) {
     glm::dvec3 low(HUGE_VAL), high(-HUGE_VAL);
-    for (const NearTriangle& t : triangles) {
-        const glm::dvec3 p = footprints.place(t);
+    for (const Item& item : items) {
+        const glm::dvec3 p = footprints.place(item);
         low = glm::min(low, p);
         high = glm::max(high, p);
     }
     const glm::dvec3 reach = high - low;
     const double side = std::max({reach.x, reach.y, reach.z, 1e-300});
     const double cells = double((1u << kAxisBits) - 1) / side;
-    std::vector<Entry> entries(triangles.size());
+    std::vector<Entry> entries(items.size());
     base::parallelRanges(
         std::size_t(0), entries.size(), kPerTask, [&](auto begin, auto end) {
             for (std::size_t i = begin; i < end; ++i) {
-                const glm::dvec3 p = (footprints.place(triangles[i]) - low) * cells;
-                const double size = footprints.size(Box(triangles[i]));
+                const glm::dvec3 p = (footprints.place(items[i]) - low) * cells;
+                const double size = footprints.size(Box(items[i]));
                 entries[i] = {sizeClass(size) << (3 * kAxisBits) |
                                   hilbertPlace({std::uint32_t(p.x), std::uint32_t(p.y),
                                                 std::uint32_t(p.z)},
@@ -111,28 +126,29 @@ std::vector<Entry> sorted(const std::vector<NearTriangle>& triangles,
                               std::uint32_t(i)};
             }
         });
-    // Ties go by the triangles themselves: which came first must not matter.
+    // Ties go by the items themselves: which came first must not matter.
     std::sort(entries.begin(), entries.end(), [&](const Entry& a, const Entry& b) {
         if (a.key != b.key) return a.key < b.key;
-        return std::memcmp(&triangles[a.triangle], &triangles[b.triangle],
-                           sizeof(NearTriangle)) < 0;
+        return std::memcmp(&items[a.item], &items[b.item], sizeof(Item)) < 0;
     });
     return entries;
 }
 
-/// Where chunks begin among the sorted triangles, and behind them their number.
-std::vector<std::size_t> cut(const std::vector<NearTriangle>& triangles,
+/// Where chunks begin among what was sorted, and behind them its number.
+template <typename Item>
+std::vector<std::size_t> cut(const std::vector<Item>& items,
                              const std::vector<Entry>& order,
                              const Footprints& footprints) {
+    static_assert(NearChunk::kTriangles == NearHairChunk::kSegments);
     std::vector<std::size_t> begins;
     for (std::size_t i = 0; i < order.size();) {
         begins.push_back(i);
-        Box box(triangles[order[i].triangle]);
+        Box box(items[order[i].item]);
         const bool fine = footprints.size(box) <= kFineSize;
         const std::size_t end = std::min(i + NearChunk::kTriangles, order.size());
         while (++i < end) {
             Box both = box;
-            both.add(Box(triangles[order[i].triangle]));
+            both.add(Box(items[order[i].item]));
             if (footprints.size(both) > (fine ? kFineReach : kCoarseReach)) break;
             box = both;
         }
@@ -162,21 +178,42 @@ struct Grid {
     }
 };
 
-NearChunk chunkOf(const std::vector<NearTriangle>& triangles, const Entry* entries,
-                  std::size_t count, const Footprints& footprints) {
-    Box box(triangles[entries[0].triangle]);
-    for (std::size_t i = 1; i < count; ++i)
-        box.add(Box(triangles[entries[i].triangle]));
+/// The items of a chunk.
+template <typename Item>
+struct Run {
+    const std::vector<Item>& items;
+    const Entry* entries;
+    std::size_t count;
+
+    [[nodiscard]] const Item& operator[](std::size_t i) const {
+        return items[entries[i].item];
+    }
+    [[nodiscard]] Box box() const {
+        Box all((*this)[0]);
+        for (std::size_t i = 1; i < count; ++i)
+            all.add(Box((*this)[i]));
+        return all;
+    }
+};
+
+/// A chunk's grid along an axis, which its fields say.
+template <typename Chunk>
+Grid setGrid(Chunk& chunk, int axis, const Box& box, const Footprints& footprints) {
+    const double unit = axis == 2 ? footprints.unit(box) : 1.0;
+    const Grid grid(box.low[axis], box.high[axis], unit * kFinestStep);
+    chunk.step[axis] = float(grid.step);
+    chunk.low[axis] = float(double(grid.first) * grid.step);
+    return grid;
+}
+
+NearChunk chunkOf(const Run<Triangle>& triangles, const Footprints& footprints) {
+    const Box box = triangles.box();
     NearChunk chunk;
     for (int axis = 0; axis < 3; ++axis) {
-        const double unit = axis == 2 ? footprints.unit(box) : 1.0;
-        const Grid grid(box.low[axis], box.high[axis], unit * kFinestStep);
-        chunk.step[axis] = float(grid.step);
-        chunk.low[axis] = float(double(grid.first) * grid.step);
+        const Grid grid = setGrid(chunk, axis, box, footprints);
         for (int c = 0; c < 3; ++c) {
             for (std::size_t i = 0; i < NearChunk::kTriangles; ++i) {
-                const NearTriangle& t =
-                    triangles[entries[std::min(i, count - 1)].triangle];
+                const Triangle& t = triangles[std::min(i, triangles.count - 1)];
                 chunk.corner[c][axis][i] =
                     std::uint16_t(grid.nearest(t.corner[c][axis]) - grid.first);
             }
@@ -185,22 +222,64 @@ NearChunk chunkOf(const std::vector<NearTriangle>& triangles, const Entry* entri
     return chunk;
 }
 
+NearHairChunk chunkOf(const Run<Segment>& segments, const Footprints& footprints) {
+    const Box box = segments.box();
+    NearHairChunk chunk;
+    for (int axis = 0; axis < 3; ++axis) {
+        const Grid grid = setGrid(chunk, axis, box, footprints);
+        for (int e = 0; e < 2; ++e) {
+            for (std::size_t i = 0; i < segments.count; ++i)
+                chunk.end[e][axis][i] =
+                    std::uint16_t(grid.nearest(segments[i].end[e][axis]) - grid.first);
+        }
+    }
+    float widest = 0.0f;
+    for (std::size_t i = 0; i < segments.count; ++i)
+        widest = std::max({widest, segments[i].half[0], segments[i].half[1]});
+    constexpr float kSteps = 255.0f;
+    // Rounded down, so that 255 steps are no more than there may be.
+    chunk.halfStep = std::nextafter(widest / kSteps, 0.0f);
+    for (std::size_t i = 0; i < segments.count; ++i) {
+        const Segment& s = segments[i];
+        for (int e = 0; e < 2; ++e) {
+            const float steps = chunk.halfStep > 0.0f ? s.half[e] / chunk.halfStep : 0.0f;
+            chunk.half[e][i] = std::uint8_t(std::min(steps + 0.5f, kSteps));
+        }
+        chunk.opacity[i] = s.opacity;
+    }
+    return chunk;
+}
+
+template <typename Chunk, typename Item>
+std::vector<Chunk> pack(const std::vector<Item>& items, const Projection& projection) {
+    const Footprints footprints(projection);
+    const std::vector<Entry> order = sorted(items, footprints);
+    const std::vector<std::size_t> begins = cut(items, order, footprints);
+    std::vector<Chunk> chunks(begins.size() - 1);
+    base::parallelRanges(
+        std::size_t(0), chunks.size(), kPerTask / 16, [&](auto first, auto last) {
+            for (std::size_t i = first; i < last; ++i)
+                chunks[i] = chunkOf(
+                    Run<Item>{items, order.data() + begins[i], begins[i + 1] - begins[i]},
+                    footprints);
+        });
+    return chunks;
+}
+
 }  // namespace
 
 NearField packNear(const std::vector<NearTriangle>& triangles,
                    const Projection& projection) {
-    const Footprints footprints(projection);
-    const std::vector<Entry> order = sorted(triangles, footprints);
-    const std::vector<std::size_t> begins = cut(triangles, order, footprints);
     NearField field;
-    field.chunks.resize(begins.size() - 1);
-    base::parallelRanges(
-        std::size_t(0), field.chunks.size(), kPerTask / 16, [&](auto first, auto last) {
-            for (std::size_t i = first; i < last; ++i)
-                field.chunks[i] = chunkOf(triangles, order.data() + begins[i],
-                                          begins[i + 1] - begins[i], footprints);
-        });
+    field.chunks = pack<NearChunk>(triangles, projection);
     return field;
+}
+
+NearHair packNear(const std::vector<NearSegment>& segments,
+                  const Projection& projection) {
+    NearHair hair;
+    hair.chunks = pack<NearHairChunk>(segments, projection);
+    return hair;
 }
 
 }  // namespace mtsm::bake_detail

@@ -1,10 +1,11 @@
-// near_chunks.h - triangles in straight space into chunks on grids of 16 bits.
+// near_chunks.h - triangles and segments in straight space into chunks on grids of 16
+// bits.
 //
-// Triangles are sorted by size, in classes of a factor of four, and in a class along a
-// Hilbert curve through (u, v, log z in pixel footprints), and then taken 16 at a time;
-// fewer where 16 would reach so far that their grid became too coarse. Sizes and steps
-// in w are counted in footprints of a pixel, too: w = w0 footprints is w0 times what w
-// changes where z changes by a pixel's side.
+// Triangles, and segments as well, are sorted by size, in classes of a factor of four,
+// and in a class along a Hilbert curve through (u, v, log z in pixel footprints), and
+// then taken 16 at a time; fewer where 16 would reach so far that their grid became too
+// coarse. Sizes and steps in w are counted in footprints of a pixel, too: w = w0
+// footprints is w0 times what w changes where z changes by a pixel's side.
 //
 //   largest triangle   a chunk reaches over   its steps are at most
 //   64 footprints      255                    1/128 (u, v: 1/256)
@@ -16,6 +17,7 @@
 #pragma once
 #include <vector>
 
+#include "bake/near_segments.h"
 #include "bake/near_triangles.h"
 
 namespace mtsm::bake_detail {
@@ -23,5 +25,6 @@ namespace mtsm::bake_detail {
 /// The same for any order of triangles and any number of threads. Time grows as n log n.
 NearField packNear(const std::vector<NearTriangle>& triangles,
                    const Projection& projection);
+NearHair packNear(const std::vector<NearSegment>& segments, const Projection& projection);
 
 }  // namespace mtsm::bake_detail

@@ -3,17 +3,20 @@
 #include <algorithm>
 
 #include "bake/near_chunks.h"
-#include "bake/near_triangles.h"
 #include "base/message.h"
 
 namespace mtsm::bake_detail {
 namespace {
 
-constexpr std::uint64_t kTriangles = NearChunk::kTriangles;
+constexpr std::uint64_t kOfChunk = NearChunk::kTriangles;
 constexpr std::uint64_t kMega = 1u << 20;
 
-std::uint64_t leastBytes(std::uint64_t triangles) {
-    return nearFieldBytes((triangles + kTriangles - 1) / kTriangles);
+/// About, of as many triangles and segments: some chunks have room left.
+std::uint64_t bytesOf(std::uint64_t triangles, std::uint64_t segments) {
+    const auto chunks = [](std::uint64_t items) {
+        return (items + items / 16 + kOfChunk - 1) / kOfChunk;
+    };
+    return nearFieldBytes(chunks(triangles)) + nearHairBytes(chunks(segments));
 }
 
 /// What would hold it, in whole megabytes.
@@ -27,39 +30,80 @@ std::string tooSmall(std::uint64_t needed, const BakeOptions& options,
                         "M would hold it");
 }
 
+/// All of a face.
+struct Found {
+    NearTriangles triangles;
+    NearSegments segments;
+    bool others = false;  ///< casters that a near field has no place for
+};
+
+/// Of triangles and of segments no more than what would fit if they were alone.
+Result<Found> collect(Visits& visits, const Projection& projection,
+                      const BakeOptions& options, std::uint64_t bytes) {
+    const std::uint64_t mostTriangles = bytes / sizeof(NearChunk) * kOfChunk;
+    const std::uint64_t mostSegments = bytes / sizeof(NearHairChunk) * kOfChunk;
+    const glm::dvec2 window(options.width, options.height);
+    Found found;
+    const Status status = visits.each([&](const CasterView& caster) -> Status {
+        if (auto s = visits.progress()("collecting the near field", -1.0); !s) return s;
+        if (const auto* mesh = std::get_if<MeshView>(&caster)) {
+            found.others = !isSolid(*mesh);
+            if (!found.others && (mesh->opacity > 0.0f || mesh->texture))
+                collectMesh(*mesh, projection, options, mostTriangles, found.triangles);
+        } else if (const auto* strands = std::get_if<StrandsView>(&caster)) {
+            collectStrands(*strands, projection, window, mostSegments, found.segments);
+        } else {
+            found.others = isThere(std::get<VolumeView>(caster));
+        }
+        if (found.others) return Error{ErrorCode::cancelled, "there is none"};
+        return {};
+    });
+    if (!status && !found.others) return status.error();
+    return found;
+}
+
 }  // namespace
 
 Status bakeNearField(Visits& visits, const BakeOptions& options, const CasterKinds& kinds,
                      std::uint64_t bytesLeft, std::vector<MapFace>& faces,
                      BakeReport& report) {
     if (options.nearField == 0) return {};
-    if (kinds.translucent) {
-        report.noNearField =
-            "only casters that are all opaque triangles have one, without alpha "
-            "textures, opacities below 1, hair and volumes";
-        return {};
-    }
     const WorkClock clock(visits);
     const std::uint64_t budget = std::min(options.nearField, bytesLeft / 4);
-    const std::uint64_t most = budget / sizeof(NearChunk) * kTriangles;
+    bool others = kinds.translucent && !kinds.media, counted = false;
     std::uint64_t bytes = 0;
-    for (MapFace& face : faces) {
-        const std::uint64_t left = most - std::min(most, report.nearTriangles);
-        const auto found = collectNear(visits, face.projection, options, left);
+    for (std::size_t i = 0; i < faces.size() && !others; ++i) {
+        MapFace& face = faces[i];
+        const std::uint64_t left = budget - std::min(budget, bytes);
+        const auto found = collect(visits, face.projection, options, left);
         if (!found) return found.error();
-        report.nearTriangles += found->count;
-        if (report.nearTriangles > most) continue;
-        face.nearField = packNear(found->triangles, face.projection);
-        bytes += nearFieldBytes(face.nearField.chunks.size());
+        others = found->others;
+        report.nearTriangles += found->triangles.count;
+        report.nearSegments += found->segments.count;
+        counted = counted || found->triangles.items.size() < found->triangles.count ||
+                  found->segments.items.size() < found->segments.count;
+        if (counted || others) continue;
+        face.nearField = packNear(found->triangles.items, face.projection);
+        face.nearHair = packNear(found->segments.items, face.projection);
+        bytes += nearFieldBytes(face.nearField.chunks.size()) +
+                 nearHairBytes(face.nearHair.chunks.size());
     }
-    // Beyond the budget chunks were not made: about one slot in 16 of them stays unused.
-    const bool counted = report.nearTriangles > most;
-    report.nearBytes =
-        counted ? leastBytes(report.nearTriangles + report.nearTriangles / 16) : bytes;
-    if (report.nearBytes > budget) {
-        report.noNearField = tooSmall(report.nearBytes, options, budget);
-        for (MapFace& face : faces)
+    if (others) {
+        report.nearTriangles = report.nearSegments = 0;
+        report.noNearField =
+            "only casters that are all opaque triangles and strands have one, without "
+            "alpha textures, meshes of opacity below 1 and volumes";
+    } else {
+        report.nearBytes =
+            counted ? bytesOf(report.nearTriangles, report.nearSegments) : bytes;
+        if (report.nearBytes > budget)
+            report.noNearField = tooSmall(report.nearBytes, options, budget);
+    }
+    if (!report.noNearField.empty()) {
+        for (MapFace& face : faces) {
             face.nearField = {};
+            face.nearHair = {};
+        }
     }
     report.nearSeconds = clock.seconds();
     return {};

@@ -176,8 +176,11 @@ void collectChunk(const MeshView& mesh, std::size_t first, std::size_t count,
                   mirrored, origin2, out);
 }
 
+}  // namespace
+
 void collectMesh(const MeshView& mesh, const Projection& projection,
-                 const StraightSpace& space, std::uint64_t most, NearTriangles& all) {
+                 const BakeOptions& options, std::uint64_t most, NearTriangles& all) {
+    const StraightSpace space(projection, options);
     const raster::LightFromObject lightFromObject(projection, mesh.worldFromObject);
     const std::size_t chunks = (mesh.triangleCount + kChunk - 1) / kChunk;
     std::vector<std::vector<NearTriangle>> parts(std::min(chunks, kBatch));
@@ -189,31 +192,9 @@ void collectMesh(const MeshView& mesh, const Projection& projection,
             collectChunk(mesh, first, std::min(kChunk, mesh.triangleCount - first),
                          lightFromObject, space, parts[i]);
         });
-        for (std::size_t i = 0; i < tasks; ++i) {
-            all.count += parts[i].size();
-            if (all.count > most)
-                all.triangles = {};
-            else
-                all.triangles.insert(all.triangles.end(), parts[i].begin(),
-                                     parts[i].end());
-        }
+        for (std::size_t i = 0; i < tasks; ++i)
+            all.add(parts[i], most);
     }
-}
-
-}  // namespace
-
-Result<NearTriangles> collectNear(Visits& visits, const Projection& projection,
-                                  const BakeOptions& options, std::uint64_t most) {
-    const StraightSpace space(projection, options);
-    NearTriangles all;
-    const Status status = visits.each(meshesOnly([&](const MeshView& mesh) -> Status {
-        if (auto s = visits.progress()("collecting the near field", -1.0); !s) return s;
-        if (mesh.opacity > 0.0f || mesh.texture)
-            collectMesh(mesh, projection, space, most, all);
-        return {};
-    }));
-    if (!status) return status.error();
-    return all;
 }
 
 }  // namespace mtsm::bake_detail

@@ -27,15 +27,25 @@ struct NearTriangle {
     float corner[3][3];  ///< [corner][u, v, w]
 };
 
-/// A face's triangles, or, once they were more than `most`, their number alone.
-struct NearTriangles {
-    std::vector<NearTriangle> triangles;
+/// A face's triangles, or, once they were more than was allowed, their number alone.
+template <typename Item>
+struct NearItems {
+    std::vector<Item> items;
     std::uint64_t count = 0;
-};
 
-/// The casters are opaque triangles. The same for any number of threads; in the order of
-/// the casters.
-Result<NearTriangles> collectNear(Visits& visits, const Projection& projection,
-                                  const BakeOptions& options, std::uint64_t most);
+    void add(const std::vector<Item>& more, std::uint64_t most) {
+        count += more.size();
+        if (count > most)
+            items = {};
+        else
+            items.insert(items.end(), more.begin(), more.end());
+    }
+};
+using NearTriangles = NearItems<NearTriangle>;
+
+/// Appends those of a caster, which is opaque, while there are no more than `most`. In
+/// the order of the caster's, for any number of threads.
+void collectMesh(const MeshView& mesh, const Projection& projection,
+                 const BakeOptions& options, std::uint64_t most, NearTriangles& all);
 
 }  // namespace mtsm::bake_detail

@@ -39,7 +39,10 @@ class MtsmMethod final : public Method {
                     .options;
         }
         if (Status fine = checkQuery(map_, light, options); !fine) return fine;
-        mtsm::shadowFactors(map_, light, at.points, at.normals, at.count, out, options);
+        // Where the ray tracer's rays start: beside a strand a tenth of its width
+        // matters.
+        mtsm::shadowFactors(map_, light, at.starts ? at.starts : at.points, at.normals,
+                            at.count, out, options);
         return {};
     }
 

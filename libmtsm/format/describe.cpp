@@ -98,6 +98,10 @@ void describeNearField(const ShadowMap& map, Description& d) {
         d.nearTriangles += field.triangles();
         d.nearChunks += field.chunks.size();
         d.nearBytes += nearFieldBytes(field.chunks.size());
+        const NearHair& hair = map.nearHair(face);
+        d.nearSegments += hair.segments();
+        d.nearChunks += hair.chunks.size();
+        d.nearBytes += nearHairBytes(hair.chunks.size());
     }
 }
 

@@ -211,7 +211,7 @@ Result<Index> splitIndex(BytesView payload, const Prefix& prefix) {
 }
 
 bool isKnown(BlockType type) {
-    return type == kHead || type == kAttr || type == kNear || type == kHier ||
+    return type == kHead || type == kAttr || isOfNearField(type) || type == kHier ||
            type == kTotl;
 }
 
@@ -239,15 +239,15 @@ Status checkDirectory(const Index& index, const Prefix& prefix, std::uint64_t in
                              kVersionMajor, ".", kVersionMinor,
                              ": a newer libmtsm is needed");
         }
-        if ((e.flags == kCritical) != (e.type != kAttr && e.type != kNear))
+        if ((e.flags == kCritical) != (e.type != kAttr && !isOfNearField(e.type)))
             return bad(at, "flags ", e.flags, " are not those of its type");
-        if (e.type != kHier && e.type != kNear) texts += e.length;
+        if (e.type != kHier && !isOfNearField(e.type)) texts += e.length;
     }
     for (BlockType type : {kHead, kHier, kTotl}) {
         if (named(type) != 1)
             return bad(named(type), " blocks ", text(type), ", there must be one");
     }
-    for (BlockType type : {kAttr, kNear}) {
+    for (BlockType type : {kAttr, kNear, kHair}) {
         if (named(type) > 1)
             return bad(named(type), " blocks ", text(type), ", there may be one");
     }
@@ -343,7 +343,8 @@ Result<Index> decodeIndex(BytesView payload, const Prefix& prefix,
     }
     memory += workBytes(*index, grid);
     for (const DirectoryEntry& entry : index->blocks) {
-        if (entry.type == kNear && limits.nearField) memory += blockSpan(entry.length);
+        if (isOfNearField(entry.type) && limits.nearField)
+            memory += blockSpan(entry.length);
     }
     if (memory > limits.maxBytes) return overMemory(memory, limits);
     index->memory = memory;

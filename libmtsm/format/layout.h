@@ -1,6 +1,6 @@
 // layout.h - every field, constant and limit of the MTSM file format 1.0, and no logic.
 //
-//     prefix | HEAD [ATTR] TILE... [NEAR] HIER TOTL INDX | trailer
+//     prefix | HEAD [ATTR] TILE... [NEAR] [HAIR] HIER TOTL INDX | trailer
 //
 // What the fields mean and what a reader checks is said in format-spec/mtsm-format.md;
 // the names here are the names there. All numbers are little-endian, all floats IEEE 754.
@@ -61,9 +61,14 @@ inline constexpr BlockType kHead = {'H', 'E', 'A', 'D'};  ///< what the numbers 
 inline constexpr BlockType kAttr = {'A', 'T', 'T', 'R'};  ///< free attributes
 inline constexpr BlockType kTile = {'T', 'I', 'L', 'E'};  ///< the layers of one tile
 inline constexpr BlockType kNear = {'N', 'E', 'A', 'R'};  ///< triangles beside the layers
+inline constexpr BlockType kHair = {'H', 'A', 'I', 'R'};  ///< strands beside the layers
 inline constexpr BlockType kHier = {'H', 'I', 'E', 'R'};  ///< min/max z above the tiles
 inline constexpr BlockType kTotl = {'T', 'O', 'T', 'L'};  ///< what is known at the end
 inline constexpr BlockType kIndx = {'I', 'N', 'D', 'X'};  ///< where everything lies
+
+constexpr bool isOfNearField(BlockType type) {
+    return type == kNear || type == kHair;
+}
 
 inline constexpr std::uint32_t kCritical = 1;  ///< BlockHeader::flags; the rest are 0
 
@@ -198,7 +203,7 @@ struct DepthRange {
 };
 static_assert(sizeof(DepthRange) == 8);
 
-// --- NEAR
+// --- NEAR, HAIR
 // ----------------------------------------------------------------------------------
 
 inline constexpr std::uint32_t kMaxPartChunks = 4096;
@@ -212,7 +217,7 @@ struct NearFixed {
 static_assert(sizeof(NearFixed) == 8);
 
 struct NearPart {
-    std::uint32_t points;  ///< different corners, counted by chunk
+    std::uint32_t points;  ///< NEAR: different corners, counted by chunk; HAIR: 0
     std::uint32_t storedLength;
 };
 static_assert(sizeof(NearPart) == 8);

@@ -18,6 +18,7 @@
 #include "format/first_error.h"
 #include "format/frame.h"
 #include "format/guard.h"
+#include "format/hair_block.h"
 #include "format/hierarchy.h"
 #include "format/map_file.h"
 #include "format/near_block.h"
@@ -154,6 +155,15 @@ struct Frame {
     Totals totals = {};
     Bytes hierarchy;
     std::uint64_t hierarchyOffset = 0, totalsOffset = 0;
+
+    /// That the near field takes so far.
+    [[nodiscard]] std::uint64_t nearBytes() const {
+        std::uint64_t bytes = 0;
+        for (const MapFace& face : faces)
+            bytes += nearFieldBytes(face.nearField.chunks.size()) +
+                     nearHairBytes(face.nearHair.chunks.size());
+        return bytes;
+    }
 };
 
 /// `nearBytes`: that a near field may take; none if nobody wants one.
@@ -161,7 +171,7 @@ Status readDirectoryBlock(const Source& source, const Prefix& prefix,
                           const DirectoryEntry& entry,
                           std::optional<std::uint64_t> nearBytes, Bytes& buffer,
                           Frame& frame) {
-    const bool wanted = entry.type == kNear && nearBytes.has_value();
+    const bool wanted = isOfNearField(entry.type) && nearBytes.has_value();
     if (entry.type != kHead && entry.type != kAttr && entry.type != kTotl &&
         entry.type != kHier && !wanted)
         return checkUnknownBlock(source, entry);
@@ -173,7 +183,9 @@ Status readDirectoryBlock(const Source& source, const Prefix& prefix,
         if (!attributes) return attributes.error();
         frame.info.attributes = *std::move(attributes);
     } else if (entry.type == kNear) {
-        return decodeNear(*payload, *nearBytes, frame.faces);
+        return decodeNear(*payload, *nearBytes - frame.nearBytes(), frame.faces);
+    } else if (entry.type == kHair) {
+        return decodeHair(*payload, *nearBytes - frame.nearBytes(), frame.faces);
     } else if (entry.type == kTotl) {
         const auto totals = decodeTotals(*payload, prefix, frame.info);
         if (!totals) return totals.error();

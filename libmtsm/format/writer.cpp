@@ -14,6 +14,7 @@
 #include "base/message.h"
 #include "base/parallel.h"
 #include "format/guard.h"
+#include "format/hair_block.h"
 #include "format/header.h"
 #include "format/hierarchy.h"
 #include "format/index.h"
@@ -82,6 +83,10 @@ class MapWriter {
         if (hasNearField(map_)) {
             const Bytes near = encodeNear(map_, options_.codec, options_.level);
             if (auto s = putBlock(kNear, 0, near); !s) return s;
+        }
+        if (hasNearHair(map_)) {
+            const Bytes hair = encodeHair(map_, options_.codec, options_.level);
+            if (auto s = putBlock(kHair, 0, hair); !s) return s;
         }
         if (auto s = putBlock(kHier, kCritical, encodeHierarchy(map_)); !s) return s;
         if (auto s = putBlock(kTotl, kCritical, encodeTotals(map_)); !s) return s;

@@ -19,6 +19,15 @@ std::uint64_t nodesAbove(std::uint64_t children) {
     return (children + kChildren - 1) / kChildren;
 }
 
+std::uint64_t boxBytes(std::uint64_t chunks) {
+    std::uint64_t nodes = 0;
+    for (std::uint64_t below = chunks; below > 0; below = below > 1 ? below : 0) {
+        below = nodesAbove(below);
+        nodes += below;
+    }
+    return nodes * sizeof(NearBoxes);
+}
+
 bool sameTriangle(const NearChunk& chunk, int a, int b) {
     for (const auto& corner : chunk.corner) {
         for (const auto& axis : corner) {
@@ -55,6 +64,39 @@ void setBox(NearBoxes& boxes, std::size_t i, const NearChunk& chunk) {
     }
 }
 
+/// Of strands, as far as their ribbons may reach from their middle lines: half a width in
+/// any direction of the world.
+void setBox(NearBoxes& boxes, std::size_t i, const NearHairChunk& chunk,
+            const Projection& p) {
+    const bool perspective = p.kind == ProjectionKind::perspective;
+    float low[3], high[3];
+    std::fill_n(low, 3, std::numeric_limits<float>::infinity());
+    std::fill_n(high, 3, -std::numeric_limits<float>::infinity());
+    for (int segment = 0; segment < NearHairChunk::kSegments; ++segment) {
+        if (chunk.opacity[segment] == 0) continue;
+        for (int e = 0; e < 2; ++e) {
+            const float half = chunk.halfAt(e, segment);
+            for (int axis = 0; axis < 3; ++axis) {
+                const float at = chunk.at(e, axis, segment);
+                float reach = 0.0f;
+                if (axis < 2) {
+                    const auto scale = float(std::abs(p.scale[axis]));
+                    const float off = at - float(p.offset[axis]);
+                    // x / z moves by half (1 + |x / z|) / (1 - half) at most.
+                    reach = perspective ? 2.0f * half * (scale + std::abs(off))
+                                        : half * scale;
+                }
+                low[axis] = std::min(low[axis], at - reach);
+                high[axis] = std::max(high[axis], at + reach);
+            }
+        }
+    }
+    for (int axis = 0; axis < 3; ++axis) {
+        boxes.low[axis][i] = low[axis];
+        boxes.high[axis][i] = high[axis];
+    }
+}
+
 /// ... and the box around all children of a node.
 void setBox(NearBoxes& boxes, std::size_t i, const NearBoxes& below) {
     for (int axis = 0; axis < 3; ++axis) {
@@ -65,8 +107,9 @@ void setBox(NearBoxes& boxes, std::size_t i, const NearBoxes& below) {
     }
 }
 
-template <typename Child>
-std::vector<NearBoxes> levelAbove(const std::vector<Child>& children) {
+template <typename Child, typename... With>
+std::vector<NearBoxes> levelAbove(const std::vector<Child>& children,
+                                  const With&... with) {
     std::vector<NearBoxes> level(nodesAbove(children.size()), emptyBoxes());
     base::parallelRanges(
         std::size_t(0), level.size(), kNodesPerTask, [&](auto first, auto last) {
@@ -74,7 +117,7 @@ std::vector<NearBoxes> levelAbove(const std::vector<Child>& children) {
                 const std::size_t begin = node * kChildren;
                 const std::size_t end = std::min(begin + kChildren, children.size());
                 for (std::size_t i = begin; i < end; ++i)
-                    setBox(level[node], i - begin, children[i]);
+                    setBox(level[node], i - begin, children[i], with...);
             }
         });
     return level;
@@ -96,46 +139,90 @@ std::uint64_t NearField::triangles() const noexcept {
     return count;
 }
 
+int NearHairChunk::segments() const noexcept {
+    return int(kSegments - std::count(opacity, opacity + kSegments, 0));
+}
+
+std::uint64_t NearHair::segments() const noexcept {
+    std::uint64_t count = 0;
+    for (const NearHairChunk& chunk : chunks)
+        count += std::uint64_t(chunk.segments());
+    return count;
+}
+
 std::uint64_t nearFieldBytes(std::uint64_t chunks) noexcept {
-    std::uint64_t nodes = 0;
-    for (std::uint64_t below = chunks; below > 0; below = below > 1 ? below : 0) {
-        below = nodesAbove(below);
-        nodes += below;
-    }
-    return chunks * sizeof(NearChunk) + nodes * sizeof(NearBoxes);
+    return chunks * sizeof(NearChunk) + boxBytes(chunks);
+}
+
+std::uint64_t nearHairBytes(std::uint64_t chunks) noexcept {
+    return chunks * sizeof(NearHairChunk) + boxBytes(chunks);
 }
 
 namespace map_detail {
 
-Status checkChunks(const NearField& field, std::uint32_t face) {
-    for (std::size_t i = 0; i < field.chunks.size(); ++i) {
-        const NearChunk& chunk = field.chunks[i];
-        for (int axis = 0; axis < 3; ++axis) {
-            const float low = chunk.low[axis], step = chunk.step[axis];
-            if (std::isfinite(low) && step >= 0.0f &&
-                std::isfinite(low + step * 65535.0f))
-                continue;
-            return base::makeError(ErrorCode::badArgument, "face ", face,
-                                   ": near field: chunk ", i, ", axis ", "uvw"[axis],
-                                   ": starts at ", low, " with steps of ", step,
-                                   ", which must be finite and not go backwards");
-        }
+namespace {
+
+template <typename Chunk>
+Status checkGrid(const Chunk& chunk, std::size_t i, std::uint32_t face) {
+    for (int axis = 0; axis < 3; ++axis) {
+        const float low = chunk.low[axis], step = chunk.step[axis];
+        if (std::isfinite(low) && step >= 0.0f && std::isfinite(low + step * 65535.0f))
+            continue;
+        return base::makeError(ErrorCode::badArgument, "face ", face,
+                               ": near field: chunk ", i, ", axis ", "uvw"[axis],
+                               ": starts at ", low, " with steps of ", step,
+                               ", which must be finite and not go backwards");
     }
     return {};
 }
 
-void buildBoxes(NearField& field) {
+template <typename Field, typename... With>
+void buildLevels(Field& field, const With&... with) {
     field.levels.clear();
     if (field.chunks.empty()) return;
-    field.levels.push_back(levelAbove(field.chunks));
+    field.levels.push_back(levelAbove(field.chunks, with...));
     while (field.levels.back().size() > 1)
         field.levels.push_back(levelAbove(field.levels.back()));
 }
 
+template <typename Chunk>
+bool same(const std::vector<Chunk>& a, const std::vector<Chunk>& b) {
+    return a.size() == b.size() &&
+           (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(Chunk)) == 0);
+}
+
+}  // namespace
+
+Status checkChunks(const MapFace& face, std::uint32_t number) {
+    for (std::size_t i = 0; i < face.nearField.chunks.size(); ++i) {
+        if (auto s = checkGrid(face.nearField.chunks[i], i, number); !s) return s;
+    }
+    const float most = face.projection.kind == ProjectionKind::perspective
+                           ? 0.5f
+                           : std::numeric_limits<float>::max();
+    for (std::size_t i = 0; i < face.nearHair.chunks.size(); ++i) {
+        const NearHairChunk& chunk = face.nearHair.chunks[i];
+        if (auto s = checkGrid(chunk, i, number); !s) return s;
+        if (!(chunk.halfStep >= 0.0f && chunk.halfStep * 255.0f <= most))
+            return base::makeError(ErrorCode::badArgument, "face ", number,
+                                   ": near field: chunk ", i, " of strands: steps of ",
+                                   chunk.halfStep, " in width, must be 0 to ",
+                                   most / 255.0f);
+    }
+    return {};
+}
+
+void buildBoxes(MapFace& face) {
+    buildLevels(face.nearField);
+    buildLevels(face.nearHair, face.projection);
+}
+
 bool sameChunks(const NearField& a, const NearField& b) noexcept {
-    return a.chunks.size() == b.chunks.size() &&
-           (a.chunks.empty() || std::memcmp(a.chunks.data(), b.chunks.data(),
-                                            a.chunks.size() * sizeof(NearChunk)) == 0);
+    return same(a.chunks, b.chunks);
+}
+
+bool sameChunks(const NearHair& a, const NearHair& b) noexcept {
+    return same(a.chunks, b.chunks);
 }
 
 }  // namespace map_detail

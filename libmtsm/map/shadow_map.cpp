@@ -115,7 +115,7 @@ Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
     map.buildHierarchy();
     map.queryData_ = std::make_shared<base::Lazy>();
     for (MapFace& face : map.faces_)
-        map_detail::buildBoxes(face.nearField);
+        map_detail::buildBoxes(face);
     return map;
 }
 
@@ -161,7 +161,7 @@ Status ShadowMap::checkShape() const {
         if (faces_[face].tiles.size() != tilesX * tilesY)
             return invalid("face ", face, ": ", faces_[face].tiles.size(), " tiles, not ",
                            tilesX, " x ", tilesY);
-        if (auto s = map_detail::checkChunks(faces_[face].nearField, face); !s) return s;
+        if (auto s = map_detail::checkChunks(faces_[face], face); !s) return s;
     }
     return {};
 }
@@ -352,7 +352,8 @@ std::uint64_t ShadowMap::memoryBytes() const noexcept {
             bytes += sizeof(Tile) +
                      4 * (t.begin.size() + t.z.size() + t.v.size() + t.n.size());
         }
-        bytes += nearFieldBytes(face.nearField.chunks.size());
+        bytes += nearFieldBytes(face.nearField.chunks.size()) +
+                 nearHairBytes(face.nearHair.chunks.size());
     }
     for (const auto& face : hierarchy_) {
         for (const Level& level : face)
@@ -439,7 +440,8 @@ bool identical(const ShadowMap& a, const ShadowMap& b) noexcept {
     if (!same(a.info(), b.info()) || a.faceCount() != b.faceCount()) return false;
     for (std::uint32_t face = 0; face < a.faceCount(); ++face) {
         if (!same(a.projection(face), b.projection(face)) ||
-            !map_detail::sameChunks(a.nearField(face), b.nearField(face)))
+            !map_detail::sameChunks(a.nearField(face), b.nearField(face)) ||
+            !map_detail::sameChunks(a.nearHair(face), b.nearHair(face)))
             return false;
         for (std::uint32_t y = 0; y < a.info().height; ++y) {
             for (std::uint32_t x = 0; x < a.info().width; ++x) {

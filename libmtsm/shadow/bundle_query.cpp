@@ -10,6 +10,7 @@
 #include "base/sampling.h"
 #include "shadow/map_faces.h"
 #include "trace/density_trace.h"
+#include "trace/hair_trace.h"
 #include "trace/near_trace.h"
 #include "trace/patch_trace.h"
 
@@ -22,6 +23,20 @@ namespace {
 constexpr double kNearHeight = 0.01;
 /// Without normals: rays start this much nearer to the receiver.
 constexpr double kNearStart = 0.1;
+/// Beside hair it answers until the light, from where the ray is, is so many pixels wide
+/// through the receiver; for at most and at least so many footprints of depth.
+constexpr double kHairWidth = 2.0;
+constexpr double kHairMost = 256.0, kHairLeast = 2.0;
+/// Strands begin to count so many footprints above a receiver without a normal: its own
+/// strand is thinner.
+constexpr double kHairStart = 0.4;
+
+/// Triangles cannot be all of what is not opaque, and where strands are, not all.
+bool hasNear(const ShadowMap& map, std::uint32_t face) {
+    const bool hair = !map.nearHair(face).empty();
+    return map.isOpaque() ? !map.nearField(face).empty() && !hair
+                          : hair && map.faceCount() == 1;
+}
 
 /// More where the light is so far away that floats tell no such heights apart: a receiver
 /// is rounded to one of them, and its own triangles' corners as well.
@@ -38,7 +53,7 @@ double nearHeightOf(const ShadowMap& map) noexcept {
 }
 
 LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& light,
-                             const ShadowOptions& options, bool nearField, bool normals,
+                             const ShadowOptions& options, bool near, bool normals,
                              std::optional<std::uint32_t> onlyKey) {
     LightRays::Setting setting;
     setting.seed = options.seed;
@@ -49,8 +64,11 @@ LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& li
     setting.normals = normals;
     setting.weights = normals && options.weight == Weight::cosine;
     setting.height = kPlaneHeight;
-    if (nearField) {
-        setting.nearDepth = kNearDepth;
+    if (near) {
+        const bool hair = !map.isOpaque();
+        setting.nearDepth = hair ? kHairMost : kNearDepth;
+        setting.nearWidth = hair ? kHairWidth : 0.0;
+        setting.nearLeast = kHairLeast;
         setting.nearHeight = nearHeightOf(map);
         setting.nearStart = kNearStart;
     }
@@ -97,6 +115,8 @@ BundleQuery::Face::Face(const ShadowMap& map, std::uint32_t number, ZRange reach
       outline(projection, light),
       nearHeight(float(nearHeightOf(map) * projection.pixelFootprint(1.0))),
       nearField(map.nearField(number)),
+      nearHair(map.nearHair(number)),
+      near(hasNear(map, number)),
       empty(map.zRange(number).empty()),
       nearest(LightRays::nearestOf(projection, reach)) {
     if (map.isOpaque())
@@ -158,10 +178,9 @@ void BundleQuery::addRays(Face& face, bool normals,
         }
     }
     (normals ? face.withNormals : face.without)
-        .emplace(
-            face.projection, map_.info().width, map_.info().height, face.depths, light_,
-            settingOf(map_, light_, options_, !face.nearField.empty(), normals, onlyKey),
-            alike);
+        .emplace(face.projection, map_.info().width, map_.info().height, face.depths,
+                 light_, settingOf(map_, light_, options_, face.near, normals, onlyKey),
+                 alike);
 }
 
 /// One bit for each face: may rays from the point to the light meet something there?
@@ -314,19 +333,31 @@ trace::DensityTraceOptions BundleQuery::densityOptions() const noexcept {
 /// What is close to the receivers, as exactly as the casters were given; leaves the
 /// bundle with the layers' part of the rays.
 void BundleQuery::traceNear(const Face& face, Rays& rays) const noexcept {
-    trace::traceNear(face.nearField, rays.bundle, rays.fates.nearEnd, face.nearHeight);
-    for (int row = 0; row < rays.bundle.receivers * rays.bundle.groups; ++row)
-        std::copy_n(rays.fates.layersBegin[row], trace::kLanes, rays.bundle.begin[row]);
+    trace::RayBundle& bundle = rays.bundle;
+    const int rows = bundle.receivers * bundle.groups;
+    if (!face.nearField.empty())
+        trace::traceNear(face.nearField, bundle, rays.fates.nearEnd, face.nearHeight);
+    if (!opaque_) {
+        for (int row = 0; row < rows; ++row)
+            rays.followed[row] &= bundle.open[row];
+        trace::HairTraceOptions hair;
+        hair.height = face.nearHeight;
+        hair.start = float(kHairStart);
+        hair.darkDepth = densityOptions().darkDepth;
+        trace::traceHair(face.nearHair, face.projection, hair, map_.info().channels,
+                         bundle, rays.depths);
+    }
+    for (int row = 0; row < rows; ++row)
+        std::copy_n(rays.fates.layersBegin[row], trace::kLanes, bundle.begin[row]);
 }
 
 /// Follows the open rays: blocked ones are closed, others have more depth.
 void BundleQuery::follow(const Face& face, Rays& rays) const noexcept {
-    if (opaque_) {
-        if (!face.nearField.empty()) traceNear(face, rays);
+    if (face.near) traceNear(face, rays);
+    if (opaque_)
         trace::tracePatches(*face.patches, rays.bundle);
-        return;
-    }
-    trace::traceDensity(*face.density, densityOptions(), rays.bundle, rays.depths);
+    else
+        trace::traceDensity(*face.density, densityOptions(), rays.bundle, rays.depths);
 }
 
 /// The same in the other faces that rays meet. `met` [receiver]: faces, one bit each.
@@ -476,14 +507,18 @@ void BundleQuery::addUp(const Rays& rays, const std::uint16_t* valid, bool weigh
 bool BundleQuery::isFree(const Face& face, const Outlook& starts) const noexcept {
     std::optional<trace::RayHull> hull = face.outline.hull(starts, samples_);
     if (!hull) return false;
-    if (!face.nearField.empty()) {
+    if (face.near) {
         const bool perspective = face.projection.kind == ProjectionKind::perspective;
-        const auto depth = [&](float w) {
-            return float(kNearDepth * face.projection.pixelFootprint(1.0)) *
+        const auto depth = [&](double footprints, float w) {
+            return float(footprints * face.projection.pixelFootprint(1.0)) *
                    (perspective ? w : 1.0f);
         };
-        if (trace::mayMeet(face.nearField, *hull, depth(hull->wHigh))) return false;
-        hull->wFirst += (1.0f - 0x1p-10f) * depth(hull->wLow);
+        const float most = depth(opaque_ ? kNearDepth : kHairMost, hull->wHigh);
+        if (trace::mayMeet(face.nearField.levels, *hull, most) ||
+            trace::mayMeet(face.nearHair.levels, *hull, most))
+            return false;
+        hull->wFirst +=
+            (1.0f - 0x1p-10f) * depth(opaque_ ? kNearDepth : kHairLeast, hull->wLow);
     }
     return face.patches ? !trace::mayMeet(*face.patches, *hull)
                         : !trace::mayMeet(*face.density, densityOptions(), *hull);

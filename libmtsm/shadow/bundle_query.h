@@ -96,6 +96,10 @@ class BundleQuery {
         LightOutline outline;
         float nearHeight;  ///< RayBundle's measure of a plane's height
         const NearField& nearField;
+        const NearHair& nearHair;
+        /// Is all that is close to receivers in them? Strands of several faces are not
+        /// asked for.
+        bool near;
         const trace::PatchTree* patches = nullptr;    ///< of an opaque map
         const trace::DensityTree* density = nullptr;  ///< of any other
         std::optional<LightRays> withNormals, without;

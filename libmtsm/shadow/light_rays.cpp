@@ -279,10 +279,16 @@ class Starts {
         bundle_.wide |= std::uint16_t((bitsOf(bounded) ^ ((1u << kN) - 1)) << first_);
         const Vec extentU = hn::Sub(slopes.highU, slopes.lowU);
         const Vec extentV = hn::Sub(slopes.highV, slopes.lowV);
-        keep(hn::Sqrt(hn::Mul(area(), constant(1.0f / float(in_.among)))),
+        const Vec lightArea = area();
+        keep(hn::Sqrt(hn::Mul(lightArea, constant(1.0f / float(in_.among)))),
              bundle_.spread);
-        const Vec depth = hn::MulAdd(constant(view_.nearPerW), hn::Abs(start_.z),
-                                     constant(view_.nearConstant));
+        Vec depth = hn::MulAdd(constant(view_.nearPerW), hn::Abs(start_.z),
+                               constant(view_.nearConstant));
+        if (view_.nearWidth > 0.0f) {
+            const Vec least = hn::Mul(depth, constant(view_.nearLeast));
+            const Vec wide = hn::Div(constant(view_.nearWidth), hn::Sqrt(lightArea));
+            depth = hn::IfThenElseZero(bounded, hn::Max(least, hn::Min(depth, wide)));
+        }
         hn::Store(depth, kF, bundle_.rise + first_);
         alignas(64) float widest[kN];
         const Vec away =
@@ -429,14 +435,14 @@ class Rays {
         hn::Store(way.y, kF, bundle_.dv[row] + i);
         hn::Store(way.z, kF, bundle_.dw[row] + i);
         MaskF above = hn::Gt(one, zero);
-        Vec begin, nearBegin, surfaces = zero;
+        Vec begin, nearBegin, surfaces;
         if (in_.normals) {
             above = hn::Gt(dot(delta, normal_), zero);
             // How fast the ray rises above the tangent plane, in s.
             const Vec rise = dot(plane_, way);
             const Vec per =
                 hn::IfThenElse(hn::Gt(rise, zero), reciprocal(rise), constant(HUGE_VALF));
-            begin = hn::Mul(constant(view_.planeHeight), per);
+            begin = surfaces = hn::Mul(constant(view_.planeHeight), per);
             if (in_.media) {
                 // What is met within the bias must be further than twice that from the
                 // receiver's own surface, measured in depth.
@@ -450,9 +456,12 @@ class Rays {
             nearBegin = hn::Mul(constant(view_.nearHeight), per);
         } else {
             const Vec start = constant(in_.at.surfaceStart[receiver_]);
-            begin = fromStart(delta, end, last.z, start);
+            begin = surfaces = fromStart(delta, end, last.z, start);
             nearBegin =
                 fromStart(delta, end, last.z, hn::Mul(start, constant(view_.nearStart)));
+            if (in_.media)
+                begin =
+                    fromStart(delta, end, last.z, constant(in_.at.mediaStart[receiver_]));
         }
         const Vec least = constant(0x1p-40f);
         if (view_.near) {
@@ -461,14 +470,10 @@ class Rays {
             hn::Store(hn::Max(hn::Max(begin, least), nearEnd), kF,
                       fates_.layersBegin[row] + i);
             begin = nearBegin;
+            surfaces = hn::Max(surfaces, nearEnd);
         }
-        if (in_.media) {
-            hn::Store(hn::Max(hn::Max(begin, surfaces), least), kF,
-                      bundle_.beginSurfaces[row] + i);
-            if (!in_.normals)
-                begin =
-                    fromStart(delta, end, last.z, constant(in_.at.mediaStart[receiver_]));
-        }
+        if (in_.media)
+            hn::Store(hn::Max(surfaces, least), kF, bundle_.beginSurfaces[row] + i);
         hn::Store(hn::Max(begin, least), kF, bundle_.begin[row] + i);
         clear = hn::Or(clear, hn::Not(hn::Lt(begin, one)));
         const std::uint32_t counts = bitsOf(above), clears = bitsOf(clear) & counts;
@@ -515,8 +520,7 @@ class Rays {
 
     /// s at which the ray leaves the depths that the near field answers for.
     Vec endOfNear(Vec rise) const {
-        const Vec depth = hn::MulAdd(constant(view_.nearPerW), hn::Abs(start_.z),
-                                     constant(view_.nearConstant));
+        const Vec depth = constant(bundle_.rise[receiver_]);
         const Vec dw = hn::Abs(rise);
         return hn::IfThenElse(hn::Gt(dw, depth), hn::Mul(depth, reciprocal(dw)),
                               constant(1.0f));
@@ -660,6 +664,8 @@ LightRays::LightRays(const Projection& p, std::uint32_t width, std::uint32_t hei
     view_.near = setting.nearDepth > 0.0;
     view_.nearHeight = float(setting.nearHeight * p.pixelFootprint(1.0));
     view_.nearStart = float(setting.nearStart);
+    view_.nearWidth = float(setting.nearWidth);
+    view_.nearLeast = float(setting.nearLeast / std::max(setting.nearDepth, 1e-30));
     const auto nearDepth = float(setting.nearDepth * p.pixelFootprint(1.0));
     view_.nearPerW = view_.perspective ? nearDepth : 0.0f;
     view_.nearConstant = view_.perspective ? 0.0f : nearDepth;

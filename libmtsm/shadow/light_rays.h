@@ -57,7 +57,10 @@ class LightRays {
     /// RayFates::weight with cosines (needs normals). `nearDepth`: the near field answers
     /// for so many pixel footprints of depth; above 0, RayBundle::begin is where its part
     /// begins, `nearHeight` footprints above the plane, or at the start times
-    /// `nearStart`. `onlyKey`: all receivers have this key.
+    /// `nearStart`. `nearWidth`: if above 0, it answers for as much less, down to
+    /// `nearLeast`, as the light, seen from there through the receiver, is as many pixels
+    /// wide; and for nothing of rays without bounds (RayBundle::wide). `onlyKey`: all
+    /// receivers have this key.
     struct Setting {
         std::uint32_t samples = 1;
         std::uint32_t seed = 0;
@@ -73,6 +76,7 @@ class LightRays {
         bool ways = false;  ///< fill RayFates::delta and way
         double height = 0.0;
         double nearDepth = 0.0, nearHeight = 0.0, nearStart = 1.0;
+        double nearWidth = 0.0, nearLeast = 0.0;
         std::optional<std::uint32_t> onlyKey;
     };
     /// `depths`: of all that there is to meet, biases included. `alike`: rays of the same
@@ -116,6 +120,7 @@ class LightRays {
         bool near;                     // is there a near field?
         float nearHeight, nearStart;   // see Setting
         float nearPerW, nearConstant;  // its depth, in w
+        float nearWidth, nearLeast;    // ... or this share of it at least; see Setting
     };
 
   private:

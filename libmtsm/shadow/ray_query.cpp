@@ -115,7 +115,10 @@ RayQuery::RayQuery(const ShadowMap& map, const RayOptions& options) noexcept
         face.nearest = LightRays::nearestOf(p, depths);
         face.farthest = depths.max + 4.0 * p.pixelFootprint(std::abs(depths.max));
         face.furthest = 0x1p20 * p.pixelFootprint(std::abs(face.nearest));
-        face.nearField = &map.nearField(f);
+        // Beside strands triangles are not all that is close.
+        static const NearField none;
+        const bool near = map.isOpaque() && map.nearHair(f).empty();
+        face.nearField = near ? &map.nearField(f) : &none;
         const auto depth = float(kNearDepth * p.pixelFootprint(1.0));
         face.nearPerW = perspective && !face.nearField->empty() ? depth : 0.0f;
         face.nearConstant = !perspective && !face.nearField->empty() ? depth : 0.0f;

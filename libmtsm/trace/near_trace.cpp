@@ -481,8 +481,9 @@ void traceNearAt(const NearField& field, RayBundle& rays, const float (*end)[kLa
 }
 
 /// Does a chunk's box overlap it? Depth first; gives up after some nodes.
-bool mayMeetAt(const NearField& field, const RayHull& hull, float rise) {
-    if (field.levels.empty()) return false;
+bool mayMeetAt(const std::vector<std::vector<NearBoxes>>& levels, const RayHull& hull,
+               float rise) {
+    if (levels.empty()) return false;
     const float startLow[3] = {hull.uLow, hull.vLow, hull.wLow};
     const float startHigh[3] = {hull.uHigh, hull.vHigh, hull.wHigh};
     const float lows[3] = {hull.slopeLowU, hull.slopeLowV, 0.0f};
@@ -492,10 +493,10 @@ bool mayMeetAt(const NearField& field, const RayHull& hull, float rise) {
         std::size_t level, index;
     };
     constexpr int kSize = 64;
-    Node stack[kSize] = {{field.levels.size() - 1, 0}};
+    Node stack[kSize] = {{levels.size() - 1, 0}};
     for (int waiting = 1, looks = 0; waiting > 0; ++looks) {
         const Node node = stack[--waiting];
-        std::uint32_t found = overlapping(field.levels[node.level][node.index], box);
+        std::uint32_t found = overlapping(levels[node.level][node.index], box);
         if (found == 0) continue;
         if (node.level == 0 || looks == kSize || waiting + std::popcount(found) > kSize)
             return true;
@@ -521,8 +522,9 @@ void traceNear(const NearField& field, RayBundle& rays, const float (*end)[kLane
     HWY_DYNAMIC_DISPATCH(traceNearAt)(field, rays, end, height);
 }
 
-bool mayMeet(const NearField& field, const RayHull& hull, float rise) noexcept {
-    return HWY_DYNAMIC_DISPATCH(mayMeetAt)(field, hull, rise);
+bool mayMeet(const std::vector<std::vector<NearBoxes>>& levels, const RayHull& hull,
+             float rise) noexcept {
+    return HWY_DYNAMIC_DISPATCH(mayMeetAt)(levels, hull, rise);
 }
 
 }  // namespace mtsm::trace

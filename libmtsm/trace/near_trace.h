@@ -7,6 +7,8 @@
 // at any angle. What is zero but for rounding counts as zero: no ray slips through
 // between triangles that share an edge or a corner.
 #pragma once
+#include <vector>
+
 #include "mtsm/near_field.h"
 #include "trace/bundle.h"
 
@@ -20,9 +22,10 @@ namespace mtsm::trace {
 void traceNear(const NearField& field, RayBundle& rays, const float (*end)[kLanes],
                float height) noexcept;
 
-/// May any ray of the hull meet a triangle, of which it comes no further than `rise` in
-/// w? Where that is not soon found out, it may. Does not allocate.
-[[nodiscard]] bool mayMeet(const NearField& field, const RayHull& hull,
-                           float rise) noexcept;
+/// May any ray of the hull meet a chunk, of NearField::levels or NearHair::levels, of
+/// which it comes no further than `rise` in w? Where that is not soon found out, it may.
+/// Does not allocate.
+[[nodiscard]] bool mayMeet(const std::vector<std::vector<NearBoxes>>& levels,
+                           const RayHull& hull, float rise) noexcept;
 
 }  // namespace mtsm::trace

@@ -111,7 +111,7 @@ methods() {
     local counts="1, 2, 4, 8, 16, 32, 64, 128, 256" embree="1, 2, 4, 8, 16, 32, 64, 128, 256"
     case $1 in
     character | bumpy | palm | mesh) near='"none", "auto"' further="4096, 8192" ;;
-    fur) further="4096" ;;
+    fur) near='"none", "auto"' further="4096" ;;
     giant-*) resolutions="2048" paper=2048 embree="1, 4, 16, 64, 256" ;;
     esac
     if [ -n "$quick" ]; then

@@ -112,11 +112,14 @@ NearField fieldOf(const std::vector<Mesh>& meshes, const Projection& projection,
     Casters casters(meshes);
     const bake_detail::Progress progress(options);
     bake_detail::Visits visits(casters, progress);
-    const auto found =
-        bake_detail::collectNear(visits, projection, options, std::uint64_t(1) << 40);
-    REQUIRE(found);
-    CHECK(found->triangles.size() == found->count);
-    return bake_detail::packNear(found->triangles, projection);
+    bake_detail::NearTriangles found;
+    REQUIRE(visits.each(meshesOnly([&](const MeshView& mesh) -> Status {
+        bake_detail::collectMesh(mesh, projection, options, std::uint64_t(1) << 40,
+                                 found);
+        return {};
+    })));
+    CHECK(found.items.size() == found.count);
+    return bake_detail::packNear(found.items, projection);
 }
 
 /// An eye at the origin that looks along -z, 90 degrees across.

@@ -63,6 +63,14 @@ inline const std::map<std::string, BadWords>& badWords() {
         {"bad_near_not_finite",
          {"near field: chunk 0, axis v: starts at 0 with steps of inf", "step"}},
         {"bad_near_twice", {"2 blocks NEAR", "more than one block"}},
+        {"bad_hair_cut",
+         {"part 0: reaches past the end", "block HAIR at offset 576: reaches past"}},
+        {"bad_hair_chunks_absurd",
+         {"claims 1152921504606846976 chunks", "more chunks than --max-bytes"}},
+        {"bad_hair_has_points", {"claims 3 points for 1 chunks", "3 points"}},
+        {"bad_hair_too_wide",
+         {"near field: chunk 0 of strands: steps of 0.00390625 in width", "halfStep"}},
+        {"bad_hair_twice", {"2 blocks HAIR", "more than one block"}},
         {"unsupported_newer_encoding",
          {"version 1.1, newer than the 1.0 that this reader knows: tile face 0 (0, 0) at "
           "offset 576: plane z: unknown encoding 3",
@@ -89,6 +97,33 @@ inline Bytes handmadeNear() {
     out.bytes(std::vector<std::uint8_t>{0, 16, 15, 0, 0, 16, 0, 0, 2});
     out.zeros(9);
     return near;
+}
+
+/// A near field of one segment, written by hand: from (0, 0, 0.5) to (8, 0, 0.5), half
+/// over depth 1/512 at the first end and 1/256 at the second, opacity 0.4.
+inline Bytes handmadeHair() {
+    Bytes hair;
+    base::ByteWriter out(hair);
+    out.put(format::NearFixed{1, 7});
+    out.put(std::uint64_t(1));          // chunks
+    out.put(format::NearPart{0, 284});  // as it is
+    // low 0, 0, 0.5 (3f000000), step 1 (3f800000), 1, 0.5, halfStep 2^-9 (3b000000): byte
+    // 0 of all first.
+    out.zeros(7 + 7);
+    out.bytes(std::vector<std::uint8_t>{0, 0, 0, 0x80, 0x80, 0, 0});
+    out.bytes(std::vector<std::uint8_t>{0, 0, 0x3f, 0x3f, 0x3f, 0x3f, 0x3b});
+    // Byte 0 of all words: b.u is zigzag(8), opacity 26214 = 0x6666.
+    Bytes words(7 * 16);
+    words[3 * 16] = 16;
+    words[6 * 16] = 0x66;
+    out.bytes(words);
+    words[3 * 16] = 0;
+    out.bytes(words);
+    Bytes halves(2 * 16);
+    halves[0] = 1;
+    halves[16] = 2;
+    out.bytes(halves);
+    return hair;
 }
 
 /// All checksums are right wherever the name does not say otherwise.
@@ -184,6 +219,22 @@ inline std::vector<BadFile> badFiles() {
     addNear("bad_near_not_finite", [](Bytes& near) { near[24 + 18 + 4] = 0x7f; });
     add("bad_near_twice", [](Surgery& s) {
         s.parts.insert(s.parts.begin() + 2, 2, {kNear, 0, handmadeNear()});
+    });
+    const auto addHair = [&](const std::string& name,
+                             const std::function<void(Bytes&)>& change) {
+        add(name, [&](Surgery& s) {
+            s.parts.insert(s.parts.begin() + 2, {kHair, 0, handmadeHair()});
+            change(s.parts[2].payload);
+        });
+    };
+    addHair("bad_hair_cut", [](Bytes& hair) { hair.resize(hair.size() - 10); });
+    addHair("bad_hair_chunks_absurd", [](Bytes& hair) { poke(hair, 8, 1ull << 60); });
+    addHair("bad_hair_has_points", [](Bytes& hair) { poke(hair, 16, 3u); });
+    addHair("bad_hair_too_wide", [](Bytes& hair) {
+        hair[24 + 20] = 0x80;  // 2^-8 = 3b800000
+    });
+    add("bad_hair_twice", [](Surgery& s) {
+        s.parts.insert(s.parts.begin() + 2, 2, {kHair, 0, handmadeHair()});
     });
     add("unsupported_newer_encoding", [&](Surgery& s) {
         s.prefix.versionMinor = 1;

@@ -191,6 +191,27 @@ void checkNearField(const json& j, const NearField& field) {
     CHECK(different == 0);
 }
 
+bool sameChunk(const json& j, const NearHairChunk& chunk) {
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+        if (!same(j["low"][axis], chunk.low[axis]) ||
+            !same(j["step"][axis], chunk.step[axis]))
+            return false;
+        for (std::size_t e = 0; e < 2; ++e) {
+            if (j["end"][e][axis] != json(chunk.end[e][axis])) return false;
+        }
+    }
+    return same(j["halfStep"], chunk.halfStep) && j["half"][0] == json(chunk.half[0]) &&
+           j["half"][1] == json(chunk.half[1]) && j["opacity"] == json(chunk.opacity);
+}
+
+void checkNearHair(const json& j, const NearHair& hair) {
+    REQUIRE(j.size() == hair.chunks.size());
+    std::size_t different = 0;
+    for (std::size_t i = 0; i < j.size(); ++i)
+        different += !sameChunk(j[i], hair.chunks[i]);
+    CHECK(different == 0);
+}
+
 void checkMap(const json& j, const ShadowMap& map) {
     checkInfo(j, map.info());
     checkAttributes(j["attributes"], map.info().attributes);
@@ -202,6 +223,7 @@ void checkMap(const json& j, const ShadowMap& map) {
     for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
         checkProjection(j["projections"][face], map.projection(face));
         checkNearField(j["nearField"][face], map.nearField(face));
+        checkNearHair(j["nearHair"][face], map.nearHair(face));
         z.include(map.zRange(face));
         REQUIRE(j["pixels"][face].size() == map.info().height);
         for (std::uint32_t y = 0; y < map.info().height; ++y) {

@@ -305,7 +305,7 @@ inline Golden nearField() {
     const Golden six = sixFaces();
     std::vector<MapFace> faces;
     for (std::uint32_t f = 0; f < six.map.faceCount(); ++f)
-        faces.push_back({six.map.projection(f), {six.map.tile(f, 0, 0)}, {}});
+        faces.push_back({six.map.projection(f), {six.map.tile(f, 0, 0)}, {}, {}});
     Numbers numbers(19);
     for (int i = 0; i < 1030; ++i) {
         NearChunk& chunk = faces[1].nearField.chunks.emplace_back();
@@ -334,6 +334,44 @@ inline Golden nearField() {
     auto map = ShadowMap::create(six.map.info(), std::move(faces));
     if (!map) throw std::runtime_error(map.error().message);
     return {"near_field", *std::move(map)};
+}
+
+/// Strands: parts of 1024 chunks, and one by itself in another face.
+inline Golden nearHair() {
+    const Golden six = sixFaces();
+    std::vector<MapFace> faces;
+    for (std::uint32_t f = 0; f < six.map.faceCount(); ++f)
+        faces.push_back({six.map.projection(f), {six.map.tile(f, 0, 0)}, {}, {}});
+    Numbers numbers(23);
+    for (int i = 0; i < 1026; ++i) {
+        NearHairChunk& chunk = faces[2].nearHair.chunks.emplace_back();
+        for (int axis = 0; axis < 3; ++axis) {
+            chunk.step[axis] = axis == 2 ? 0x1p-16f : i % 7 == 3 ? 0.0f : 0x1p-8f;
+            chunk.low[axis] = float(int(numbers.below(4096)) - 512) * 0x1p-8f;
+        }
+        chunk.halfStep = i % 5 == 4 ? 0.0f : float(1 + i) * 0x1p-20f;
+        for (std::uint32_t t = 0; t < NearHairChunk::kSegments; ++t) {
+            for (std::uint32_t axis = 0; axis < 3; ++axis) {
+                // A strand; in every third chunk segments by themselves.
+                const std::uint32_t n = i % 3 == 2 ? 5 * t : t;
+                chunk.end[0][axis][t] = std::uint16_t(900 * n * (axis + 1));
+                chunk.end[1][axis][t] = std::uint16_t(900 * (n + 1) * (axis + 1));
+            }
+            chunk.half[0][t] = std::uint8_t(255 - t);
+            chunk.half[1][t] = std::uint8_t(250 - 3 * t);
+            chunk.opacity[t] = std::uint16_t(i % 2 ? 26214 : numbers.below(65536));
+        }
+    }
+    NearHairChunk one;  // a single segment
+    one.low[2] = 0.25f;
+    one.step[0] = one.step[1] = 0x1p-5f;
+    one.halfStep = 0x1p-9f;
+    one.end[1][0][0] = one.opacity[0] = 65535;
+    one.half[0][0] = one.half[1][0] = 255;
+    faces[5].nearHair.chunks = {one};
+    auto map = ShadowMap::create(six.map.info(), std::move(faces));
+    if (!map) throw std::runtime_error(map.error().message);
+    return {"near_hair", *std::move(map)};
 }
 
 /// Smoke of which neighbouring pixels say nothing and neighbouring layers much, with
@@ -391,6 +429,7 @@ inline std::vector<Golden> goldenMaps() {
     all.push_back(deepPixel());
     all.push_back(attributes());
     all.push_back(nearField());
+    all.push_back(nearHair());
     all.push_back(rounded());
     return all;
 }

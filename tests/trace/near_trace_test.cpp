@@ -266,7 +266,7 @@ TEST_CASE("a hull that meets no triangle lies beside all of them", "[trace][twin
                                         p.y >= from.y + slopes[2] * dw && p.y <= to.y);
                 }
             }
-            const bool may = trace::mayMeet(map.nearField(0), hull, float(rise));
+            const bool may = trace::mayMeet(map.nearField(0).levels, hull, float(rise));
             if (inside) CHECK(may);
             ++(may ? met : free);
         }
@@ -274,7 +274,7 @@ TEST_CASE("a hull that meets no triangle lies beside all of them", "[trace][twin
     CHECK(free > 200);
     CHECK(met > 200);
     const trace::RayHull hull{0, 64, 0, 64, 0.01f, 0.02f, -9, 9, -9, 9, 0.01f, 0.0f};
-    CHECK_FALSE(trace::mayMeet(mapOfTriangles({}).nearField(0), hull, 1.0f));
+    CHECK_FALSE(trace::mayMeet(mapOfTriangles({}).nearField(0).levels, hull, 1.0f));
 }
 
 TEST_CASE("no ray slips through a mesh, along its edges and through its corners",

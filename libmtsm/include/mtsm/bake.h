@@ -82,9 +82,9 @@ struct BakeOptions {
     /// z threshold, >= 0, world units. Without: a pixel's footprint at a layer's depth.
     std::optional<float> bias;
     /// Bytes that the near field (mtsm/near_field.h) may take in memory; 0: none. Only
-    /// casters that are all opaque triangles have one, and it is kept whole or not at
-    /// all: BakeReport says what came of it. It takes no more than a quarter of what
-    /// layers leave of maxBytes, because its making takes more.
+    /// casters that are all opaque triangles and strands have one, and it is kept whole
+    /// or not at all: BakeReport says what came of it. It takes no more than a quarter of
+    /// what layers leave of maxBytes, because its making takes more.
     std::uint64_t nearField = 0;
     Cull cull = Cull::none;  ///< faces turned away from (back) or to (front) the eye
     std::uint64_t maxBytes = std::uint64_t(8)
@@ -112,9 +112,10 @@ struct BakeReport {
     std::uint64_t droppedHidden = 0;    ///< layers that no point of the light sees
     /// Pixels in which the cap on layers took more than the tolerance allows.
     std::uint64_t pixelsOverTolerance = 0;
-    std::uint64_t nearTriangles = 0;  ///< in the near field, or that it would have held
-    std::uint64_t nearBytes = 0;      ///< that it takes in memory, or would take
-    std::string noNearField;          ///< why there is none, although there was to be one
+    /// In the near field, or that it would have held.
+    std::uint64_t nearTriangles = 0, nearSegments = 0;
+    std::uint64_t nearBytes = 0;  ///< that it takes in memory, or would take
+    std::string noNearField;      ///< why there is none, although there was to be one
     double readSeconds = 0, rasterSeconds = 0, compressSeconds = 0, nearSeconds = 0;
 };
 

@@ -156,9 +156,10 @@ inline constexpr std::uint32_t kAllResets = 0xffffffffu;    ///< MapInfo::resets
 struct MapFace {
     Projection projection;
     std::vector<Tile> tiles;
-    /// Every triangle of the casters that reaches into the window, if all of them are
-    /// opaque triangles; or empty.
+    /// Every triangle and every segment of a strand of the casters that reaches into the
+    /// window, if all of them are opaque triangles and strands; or both empty.
     NearField nearField = {};
+    NearHair nearHair = {};
 };
 
 /// A pixel's layers, pointing into a map.
@@ -200,6 +201,9 @@ class ShadowMap {
     /// Empty if the map has none, whatever its layers are.
     [[nodiscard]] const NearField& nearField(std::uint32_t face) const noexcept {
         return faces_[face].nearField;
+    }
+    [[nodiscard]] const NearHair& nearHair(std::uint32_t face) const noexcept {
+        return faces_[face].nearHair;
     }
 
     [[nodiscard]] PixelLayers pixel(std::uint32_t face, std::uint32_t x,

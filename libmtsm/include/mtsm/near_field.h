@@ -1,7 +1,8 @@
-// near_field.h - the triangles that a map was baked from, beside its layers.
+// near_field.h - the triangles and strands that a map was baked from, beside its layers.
 //
 // A texel cannot resolve what lies next to a receiver. A map whose casters are all opaque
-// triangles may therefore hold them as well, in the space in which its rays are followed:
+// triangles and strands of hair may therefore hold them as well, in the space in which
+// its rays are followed:
 //
 // Straight space. (u, v, w) of a face: raster position u and v in pixels, and w = 1 / z
 // (perspective) or -z (orthographic), which grows towards the eye. Lines and planes of
@@ -11,6 +12,11 @@
 // The bake makes step a power of two and low a multiple of it, so that this is exact in
 // float, and a corner that several chunks of the same step have in common is the same
 // point in all of them. Steps are at most 1/32 of a pixel in u and v, mostly 1/256.
+//
+// Segments of strands lie in chunks of 16 of their own kind, on the same sort of grid.
+// Each is a ribbon that faces the ray, from end to end; `half` is half its width over its
+// depth (perspective) or half its width in world units (orthographic), which is linear
+// between the ends in straight space, as width is in the world.
 #pragma once
 #include <cstddef>
 #include <cstdint>
@@ -35,6 +41,29 @@ struct NearChunk {
 };
 static_assert(sizeof(NearChunk) == 312);
 
+/// Up to 16 segments of strands that lie close together; all others have opacity 0.
+struct NearHairChunk {
+    static constexpr int kSegments = 16;
+    static constexpr float kOpaque = 65535.0f;
+
+    float low[3] = {};      ///< [u, v, w], finite
+    float step[3] = {};     ///< [u, v, w], >= 0; low + 65535 * step is finite
+    float halfStep = 0.0f;  ///< >= 0; 255 * halfStep is finite, if perspective <= 1/2
+    std::uint16_t end[2][3][kSegments] = {};  ///< [end][u, v, w][segment]
+    std::uint16_t opacity[kSegments] = {};    ///< of light that crosses it; in 65535ths
+    std::uint8_t half[2][kSegments] = {};     ///< [end][segment], in steps
+
+    [[nodiscard]] float at(int e, int axis, int segment) const noexcept {
+        return low[axis] + step[axis] * float(end[e][axis][segment]);
+    }
+    [[nodiscard]] float halfAt(int e, int segment) const noexcept {
+        return halfStep * float(half[e][segment]);
+    }
+    /// Those that are there.
+    [[nodiscard]] int segments() const noexcept;
+};
+static_assert(sizeof(NearHairChunk) == 284);
+
 /// What 16 chunks, or 16 nodes of the level below, reach over. Where there are fewer, low
 /// is +infinity and high is -infinity.
 struct NearBoxes {
@@ -55,7 +84,19 @@ struct NearField {
     [[nodiscard]] std::uint64_t triangles() const noexcept;
 };
 
+/// All segments of strands of one face, likewise.
+struct NearHair {
+    std::vector<NearHairChunk> chunks;
+    /// As NearField::levels. A chunk's box reaches around its ribbons, whichever way they
+    /// turn.
+    std::vector<std::vector<NearBoxes>> levels;
+
+    [[nodiscard]] bool empty() const noexcept { return chunks.empty(); }
+    [[nodiscard]] std::uint64_t segments() const noexcept;
+};
+
 /// What so many chunks take in memory, boxes included.
 [[nodiscard]] std::uint64_t nearFieldBytes(std::uint64_t chunks) noexcept;
+[[nodiscard]] std::uint64_t nearHairBytes(std::uint64_t chunks) noexcept;
 
 }  // namespace mtsm

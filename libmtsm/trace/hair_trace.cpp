@@ -1,0 +1,482 @@
+// As the kernel of triangles (near_trace.cpp) goes: the boxes are walked with the box
+// around all rays' parts; for each chunk that is left the receivers are found, sixteen at
+// a time, whose own rays may meet it; for each of those the chunk's segments are seen
+// from it, sixteen at once; and each that its light may shine through is tested against
+// sixteen rays at once.
+//
+// What a ray meets does not depend on the rays beside it: which segments a receiver looks
+// at follows from its own box and slopes, and it meets them in the order of the file.
+//
+// Fused multiply-adds are not used where hits are decided, for they would make one
+// machine's answer another's rounding.
+#include "trace/hair_trace.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <limits>
+
+// Vectors of a length that is not known in advance cannot be members of a struct.
+#define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "trace/hair_trace.cpp"
+#include "hwy/foreach_target.h"
+#include "hwy/highway.h"
+
+#ifndef MTSM_TRACE_HAIR_VIEW
+#define MTSM_TRACE_HAIR_VIEW
+namespace mtsm::trace {
+
+/// What is the same for all receivers of a map, in float.
+struct HairView {
+    bool perspective;
+    float scaleU, scaleV, offsetU, offsetV;
+    float footprint;  // w, over w if perspective
+    float height, start;
+};
+
+}  // namespace mtsm::trace
+#endif
+
+HWY_BEFORE_NAMESPACE();
+namespace mtsm::trace {
+namespace HWY_NAMESPACE {
+
+namespace hn = hwy::HWY_NAMESPACE;
+
+using Floats = hn::CappedTag<float, kLanes>;
+using Vec = hn::Vec<Floats>;
+using Mask = hn::Mask<Floats>;
+
+constexpr int kSegments = NearHairChunk::kSegments;
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+/// Of a ray's coordinates, added to its receiver's box.
+constexpr float kMargin = 0x1p-19f;
+/// A receiver's own place is no slope: strands count from this part of the near field's
+/// depth on at least.
+constexpr float kLeastRise = 0x1p-12f;
+
+/// A receiver that is no further than this many half widths from a strand's middle line
+/// lies on it.
+constexpr float kWithin = 1.05f;
+
+HWY_INLINE std::uint32_t bitsOf(Floats d, Mask mask) {
+    std::uint8_t bytes[8] = {};
+    hn::StoreMaskBits(d, mask, bytes);
+    return bytes[0] | std::uint32_t(bytes[1]) << 8;
+}
+
+HWY_INLINE Mask maskOf(Floats d, std::uint32_t bits) {
+    const std::uint8_t bytes[8] = {std::uint8_t(bits), std::uint8_t(bits >> 8)};
+    return hn::LoadMaskBits(d, bytes);
+}
+
+/// a + t (b - a)
+HWY_INLINE Vec between(Vec a, Vec b, Vec t) {
+    return hn::Add(a, hn::Mul(t, hn::Sub(b, a)));
+}
+
+/// A chunk's segments in floats, [segment].
+struct Segments {
+    alignas(64) float at[2][3][kSegments];  // [end][axis][segment]
+    alignas(64) float half[2][kSegments];
+    std::uint32_t present = 0;
+
+    explicit Segments(const NearHairChunk& chunk) {
+        const Floats d;
+        const hn::Rebind<std::int32_t, Floats> whole;
+        const hn::Rebind<std::uint16_t, Floats> words;
+        const hn::Rebind<std::uint8_t, Floats> bytes;
+        for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
+            for (int e = 0; e < 2; ++e) {
+                for (int axis = 0; axis < 3; ++axis) {
+                    const auto q = hn::LoadU(words, chunk.end[e][axis] + i);
+                    const Vec steps = hn::ConvertTo(d, hn::PromoteTo(whole, q));
+                    hn::Store(hn::Add(hn::Set(d, chunk.low[axis]),
+                                      hn::Mul(hn::Set(d, chunk.step[axis]), steps)),
+                              d, at[e][axis] + i);
+                }
+                const auto q = hn::LoadU(bytes, chunk.half[e] + i);
+                hn::Store(hn::Mul(hn::Set(d, chunk.halfStep),
+                                  hn::ConvertTo(d, hn::PromoteTo(whole, q))),
+                          d, half[e] + i);
+            }
+        }
+        for (int i = 0; i < kSegments; ++i)
+            present |= std::uint32_t(chunk.opacity[i] > 0) << i;
+    }
+};
+
+/// Segments seen from a receiver: where a slope lies along each, 0 to 1 between its ends,
+/// and how far across, in a measure in which `wide` is known.
+struct SeenSegments {
+    alignas(64) float firstU[kSegments], firstV[kSegments];
+    alignas(64) float alongU[kSegments], alongV[kSegments];
+    alignas(64) float acrossU[kSegments], acrossV[kSegments];
+    alignas(64) float wide[kSegments], widen[kSegments];  // at 0, and how much more at 1
+};
+
+/// One call of traceHair().
+class HairWalk {
+  public:
+    HairWalk(const NearHair& hair, const HairView& view, RayBundle& rays)
+        : hair_(hair), view_(view), rays_(rays) {
+        for (int axis = 0; axis < 3; ++axis) {
+            std::fill_n(low_[axis], kMostReceivers, kInfinity);
+            std::fill_n(high_[axis], kMostReceivers, -kInfinity);
+        }
+        for (int receiver = 0; receiver < rays.receivers; ++receiver) {
+            if (!(rays.wide >> receiver & 1)) setUp(receiver);
+        }
+    }
+
+    void run() {
+        if (lanesLeft_ && !hair_.levels.empty()) node(hair_.levels.size() - 1, 0);
+    }
+    /// Adds what was met.
+    void settle(float darkDepth, std::uint32_t channels, RayDepths& depths);
+
+  private:
+    void setUp(int receiver);
+    void node(std::size_t level, std::size_t index);
+    [[nodiscard]] std::uint32_t lanesAt(const NearBoxes& boxes, int i) const;
+    void chunk(const NearHairChunk& chunk, std::uint32_t lanes);
+    [[nodiscard]] Mask isOwn(int lane, const Vec (&a)[3], const Vec (&b)[3], Vec halfA,
+                             Vec halfB) const;
+    [[nodiscard]] std::uint32_t look(int lane, const Segments& segments,
+                                     SeenSegments& seen) const;
+    [[nodiscard]] float depthOf(std::uint16_t opacity);
+    void cross(int lane, const SeenSegments& seen, int i, float depth);
+
+    const NearHair& hair_;
+    const HairView& view_;
+    RayBundle& rays_;
+    float hullLow_[3] = {kInfinity, kInfinity, kInfinity};
+    float hullHigh_[3] = {-kInfinity, -kInfinity, -kInfinity};
+    /// Boxes around what rays pass of the near field, [axis][receiver]; of receivers
+    /// without any empty.
+    alignas(64) float low_[3][kMostReceivers], high_[3][kMostReceivers];
+    float least_[kMostReceivers];  // w above the start from which on strands count
+    std::uint32_t lanesLeft_ = 0;
+    // Hair is mostly of one opacity, and logarithms take long.
+    std::uint16_t lastOpacity_ = 0;
+    float lastDepth_ = 0.0f;
+    /// [row][lane], of receivers in lanesLeft_.
+    alignas(64) float slopeU_[kMostRows][kLanes], slopeV_[kMostRows][kLanes];
+    alignas(64) float met_[kMostRows][kLanes];
+};
+
+void HairWalk::setUp(int receiver) {
+    const Floats d;
+    std::uint32_t open = 0;
+    for (int group = 0; group < rays_.groups; ++group)
+        open |= rays_.open[rays_.row(receiver, group)];
+    const float rise = rays_.rise[receiver];
+    if (open == 0 || !(rise > 0.0f)) return;
+    lanesLeft_ |= 1u << receiver;
+    for (int group = 0; group < rays_.groups; ++group) {
+        const int row = rays_.row(receiver, group);
+        for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
+            const Vec dw = hn::Load(d, rays_.dw[row] + i);
+            hn::Store(hn::Div(hn::Load(d, rays_.du[row] + i), dw), d, slopeU_[row] + i);
+            hn::Store(hn::Div(hn::Load(d, rays_.dv[row] + i), dw), d, slopeV_[row] + i);
+            hn::Store(hn::Zero(d), d, met_[row] + i);
+        }
+    }
+    const float w = rays_.w[receiver];
+    const float footprint = view_.footprint * (view_.perspective ? w : 1.0f);
+    least_[receiver] = kLeastRise * rise;
+    if (!rays_.hasPlanes)
+        least_[receiver] = std::max(least_[receiver], view_.start * footprint);
+    const float start[3] = {rays_.u[receiver], rays_.v[receiver], w};
+    const float lows[3] = {rays_.slopeLowU[receiver], rays_.slopeLowV[receiver], 0.0f};
+    const float highs[3] = {rays_.slopeHighU[receiver], rays_.slopeHighV[receiver], 1.0f};
+    for (int axis = 0; axis < 3; ++axis) {
+        const float margin =
+            kMargin * (std::abs(start[axis]) +
+                       rise * std::max(std::abs(lows[axis]), std::abs(highs[axis])));
+        low_[axis][receiver] = start[axis] + std::min(0.0f, lows[axis] * rise) - margin;
+        high_[axis][receiver] = start[axis] + std::max(0.0f, highs[axis] * rise) + margin;
+        hullLow_[axis] = std::min(hullLow_[axis], low_[axis][receiver]);
+        hullHigh_[axis] = std::max(hullHigh_[axis], high_[axis][receiver]);
+    }
+}
+
+void HairWalk::node(std::size_t level, std::size_t index) {
+    const Floats d;
+    const NearBoxes& boxes = hair_.levels[level][index];
+    std::uint32_t found = 0;
+    for (std::size_t i = 0; i < NearBoxes::kChildren; i += hn::Lanes(d)) {
+        Mask overlap = hn::Le(hn::LoadU(d, boxes.low[0] + i), hn::Set(d, hullHigh_[0]));
+        for (int axis = 0; axis < 3; ++axis) {
+            overlap = hn::And(overlap, hn::Le(hn::LoadU(d, boxes.low[axis] + i),
+                                              hn::Set(d, hullHigh_[axis])));
+            overlap = hn::And(overlap, hn::Ge(hn::LoadU(d, boxes.high[axis] + i),
+                                              hn::Set(d, hullLow_[axis])));
+        }
+        found |= bitsOf(d, overlap) << i;
+    }
+    for (; found; found &= found - 1) {
+        const int i = std::countr_zero(found);
+        const std::uint32_t lanes = lanesAt(boxes, i) & lanesLeft_;
+        if (lanes == 0) continue;
+        const std::size_t child = NearBoxes::kChildren * index + std::size_t(i);
+        if (level > 0)
+            node(level - 1, child);
+        else
+            chunk(hair_.chunks[child], lanes);
+    }
+}
+
+/// Receivers whose rays may meet something in the box.
+std::uint32_t HairWalk::lanesAt(const NearBoxes& boxes, int i) const {
+    const Floats d;
+    std::uint32_t lanes = 0;
+    for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
+        Mask may = hn::Le(hn::Load(d, low_[0] + k), hn::Set(d, boxes.high[0][i]));
+        for (int axis = 0; axis < 3; ++axis) {
+            may = hn::And(may, hn::Le(hn::Load(d, low_[axis] + k),
+                                      hn::Set(d, boxes.high[axis][i])));
+            may = hn::And(may, hn::Ge(hn::Load(d, high_[axis] + k),
+                                      hn::Set(d, boxes.low[axis][i])));
+        }
+        lanes |= bitsOf(d, may) << k;
+    }
+    return lanes;
+}
+
+void HairWalk::chunk(const NearHairChunk& chunk, std::uint32_t lanes) {
+    const Segments segments(chunk);
+    SeenSegments seen;
+    for (; lanes; lanes &= lanes - 1) {
+        const int lane = std::countr_zero(lanes);
+        for (std::uint32_t found = look(lane, segments, seen); found;
+             found &= found - 1) {
+            const int i = std::countr_zero(found);
+            cross(lane, seen, i, depthOf(chunk.opacity[i]));
+        }
+    }
+}
+
+/// Segments around whose middle lines the receiver lies no further than they are wide,
+/// in light space. `a` and `b`: their ends, from the receiver, `half` there. Where that
+/// is near, straight space is as good as linear.
+Mask HairWalk::isOwn(int lane, const Vec (&a)[3], const Vec (&b)[3], Vec halfA,
+                     Vec halfB) const {
+    const Floats d;
+    const float z = view_.perspective ? 1.0f / rays_.w[lane] : 1.0f;
+    const auto light = [&](const Vec(&p)[3], Vec(&out)[3]) {
+        out[2] = hn::Mul(p[2], hn::Set(d, view_.perspective ? -z * z : -1.0f));
+        const float slopes[2] = {(rays_.u[lane] - view_.offsetU) / view_.scaleU,
+                                 (rays_.v[lane] - view_.offsetV) / view_.scaleV};
+        const float scales[2] = {view_.scaleU, view_.scaleV};
+        for (int axis = 0; axis < 2; ++axis) {
+            out[axis] = hn::Mul(p[axis], hn::Set(d, z / scales[axis]));
+            if (view_.perspective)
+                out[axis] = hn::Add(out[axis], hn::Mul(out[2], hn::Set(d, slopes[axis])));
+        }
+    };
+    const auto dot = [](const Vec(&p)[3], const Vec(&q)[3]) {
+        return hn::Add(hn::Add(hn::Mul(p[0], q[0]), hn::Mul(p[1], q[1])),
+                       hn::Mul(p[2], q[2]));
+    };
+    Vec from[3], to[3], way[3], off[3];
+    light(a, from);
+    light(b, to);
+    for (int axis = 0; axis < 3; ++axis)
+        way[axis] = hn::Sub(to[axis], from[axis]);
+    const Vec t =
+        hn::Min(hn::Max(hn::Neg(hn::Div(dot(from, way), dot(way, way))), hn::Zero(d)),
+                hn::Set(d, 1.0f));
+    for (int axis = 0; axis < 3; ++axis)
+        off[axis] = hn::Add(from[axis], hn::Mul(t, way[axis]));
+    const Vec within = hn::Mul(between(halfA, halfB, t), hn::Set(d, kWithin * z));
+    return hn::Le(dot(off, off), hn::Mul(within, within));
+}
+
+/// Segments that the receiver's rays may meet.
+std::uint32_t HairWalk::look(int lane, const Segments& segments,
+                             SeenSegments& seen) const {
+    const Floats d;
+    const Vec zero = hn::Zero(d), one = hn::Set(d, 1.0f);
+    const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
+    std::uint32_t found = 0;
+    for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
+        Vec a[3], b[3];
+        for (int axis = 0; axis < 3; ++axis) {
+            const Vec s = hn::Set(d, start[axis]);
+            a[axis] = hn::Sub(hn::Load(d, segments.at[0][axis] + i), s);
+            b[axis] = hn::Sub(hn::Load(d, segments.at[1][axis] + i), s);
+        }
+        // The part between t0 and t1 counts.
+        Vec t0 = zero, t1 = one;
+        const auto keep = [&](Vec insideA, Vec insideB) {
+            const Vec change = hn::Sub(insideB, insideA);
+            const Vec t = hn::Neg(hn::Div(insideA, change));
+            t0 = hn::IfThenElse(hn::Gt(change, zero), hn::Max(t0, t), t0);
+            t1 = hn::IfThenElse(hn::Lt(change, zero), hn::Min(t1, t), t1);
+            const Mask never = hn::And(hn::Eq(change, zero), hn::Lt(insideA, zero));
+            t1 = hn::IfThenElse(never, hn::Neg(one), t1);
+        };
+        const Vec least = hn::Set(d, least_[lane]), rise = hn::Set(d, rays_.rise[lane]);
+        keep(hn::Sub(a[2], least), hn::Sub(b[2], least));
+        keep(hn::Sub(rise, a[2]), hn::Sub(rise, b[2]));
+        if (rays_.hasPlanes) {
+            const Vec n[3] = {hn::Set(d, rays_.planeU[lane]),
+                              hn::Set(d, rays_.planeV[lane]),
+                              hn::Set(d, rays_.planeW[lane])};
+            const auto above = [&](const Vec(&p)[3]) {
+                const Vec height =
+                    hn::Add(hn::Add(hn::Mul(n[0], p[0]), hn::Mul(n[1], p[1])),
+                            hn::Mul(n[2], p[2]));
+                return hn::Sub(height, hn::Set(d, view_.height));
+            };
+            keep(above(a), above(b));
+        }
+        Mask may = hn::Lt(t0, t1);
+        if (hn::AllFalse(d, may)) continue;
+
+        Vec slope[2][2], half[2];  // [end][u, v]
+        for (int e = 0; e < 2; ++e) {
+            const Vec t = e == 0 ? t0 : t1;
+            const Vec perRise = hn::Div(one, hn::Max(least, between(a[2], b[2], t)));
+            slope[e][0] = hn::Mul(between(a[0], b[0], t), perRise);
+            slope[e][1] = hn::Mul(between(a[1], b[1], t), perRise);
+            half[e] = hn::Mul(between(hn::Load(d, segments.half[0] + i),
+                                      hn::Load(d, segments.half[1] + i), t),
+                              perRise);
+        }
+        const Vec eu = hn::Sub(slope[1][0], slope[0][0]);
+        const Vec ev = hn::Sub(slope[1][1], slope[0][1]);
+        const Vec length2 = hn::Add(hn::Mul(eu, eu), hn::Mul(ev, ev));
+        const Vec per = hn::Div(one, length2);
+        // The plane through receiver and segment, (-ev, eu, c) in straight space: its
+        // normal in light space is as long as heights above it are multiplied by.
+        const Vec c = hn::Sub(hn::Mul(ev, slope[0][0]), hn::Mul(eu, slope[0][1]));
+        const Vec nx = hn::Mul(ev, hn::Set(d, view_.scaleU));
+        const Vec ny = hn::Mul(eu, hn::Set(d, view_.scaleV));
+        Vec nz = c;
+        if (view_.perspective) {
+            nz = hn::Mul(c, hn::Set(d, start[2]));
+            nz = hn::Sub(nz, hn::Mul(ev, hn::Set(d, start[0] - view_.offsetU)));
+            nz = hn::Add(nz, hn::Mul(eu, hn::Set(d, start[1] - view_.offsetV)));
+        }
+        const Vec size =
+            hn::Sqrt(hn::Add(hn::Add(hn::Mul(nx, nx), hn::Mul(ny, ny)), hn::Mul(nz, nz)));
+        const Vec wide[2] = {hn::Mul(size, half[0]), hn::Mul(size, half[1])};
+        const Vec widest = hn::Mul(hn::Max(wide[0], wide[1]), per);
+        const auto meets = [&](const float* low, const float* high, int axis,
+                               Vec across) {
+            const Vec reach = hn::Mul(widest, hn::Abs(across));
+            const Vec first = slope[0][axis], last = slope[1][axis];
+            may = hn::And(may, hn::Le(hn::Sub(hn::Min(first, last), reach),
+                                      hn::Set(d, high[lane])));
+            may = hn::And(
+                may, hn::Ge(hn::Add(hn::Max(first, last), reach), hn::Set(d, low[lane])));
+        };
+        meets(rays_.slopeLowU, rays_.slopeHighU, 0, ev);
+        meets(rays_.slopeLowV, rays_.slopeHighV, 1, eu);
+        if (!rays_.hasPlanes && !hn::AllFalse(d, may))
+            may = hn::AndNot(isOwn(lane, a, b, hn::Load(d, segments.half[0] + i),
+                                   hn::Load(d, segments.half[1] + i)),
+                             may);
+        found |= bitsOf(d, may) << i;
+        hn::Store(slope[0][0], d, seen.firstU + i);
+        hn::Store(slope[0][1], d, seen.firstV + i);
+        hn::Store(hn::Mul(eu, per), d, seen.alongU + i);
+        hn::Store(hn::Mul(ev, per), d, seen.alongV + i);
+        hn::Store(hn::Neg(ev), d, seen.acrossU + i);
+        hn::Store(eu, d, seen.acrossV + i);
+        hn::Store(wide[0], d, seen.wide + i);
+        hn::Store(hn::Sub(wide[1], wide[0]), d, seen.widen + i);
+    }
+    return found & segments.present;
+}
+
+float HairWalk::depthOf(std::uint16_t opacity) {
+    if (opacity != lastOpacity_) {
+        const double share = double(opacity) / double(NearHairChunk::kOpaque);
+        lastOpacity_ = opacity;
+        lastDepth_ = share < 1.0 ? float(-std::log1p(-share)) : kDarkDepth;
+    }
+    return lastDepth_;
+}
+
+/// Adds `depth` to the receiver's rays that pass through a segment.
+void HairWalk::cross(int lane, const SeenSegments& seen, int i, float depth) {
+    const Floats d;
+    const Vec firstU = hn::Set(d, seen.firstU[i]), firstV = hn::Set(d, seen.firstV[i]);
+    const Vec alongU = hn::Set(d, seen.alongU[i]), alongV = hn::Set(d, seen.alongV[i]);
+    const Vec acrossU = hn::Set(d, seen.acrossU[i]),
+              acrossV = hn::Set(d, seen.acrossV[i]);
+    const Vec wide = hn::Set(d, seen.wide[i]), widen = hn::Set(d, seen.widen[i]);
+    const Vec more = hn::Set(d, depth), one = hn::Set(d, 1.0f), zero = hn::Zero(d);
+    for (int group = 0; group < rays_.groups; ++group) {
+        const int row = rays_.row(lane, group);
+        for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
+            const Vec u = hn::Sub(hn::Load(d, slopeU_[row] + k), firstU);
+            const Vec v = hn::Sub(hn::Load(d, slopeV_[row] + k), firstV);
+            const Vec t = hn::Add(hn::Mul(u, alongU), hn::Mul(v, alongV));
+            const Vec off = hn::Add(hn::Mul(u, acrossU), hn::Mul(v, acrossV));
+            const Mask inside = hn::Le(hn::Abs(off), hn::Add(wide, hn::Mul(t, widen)));
+            const Mask hit = hn::And(inside, hn::And(hn::Ge(t, zero), hn::Le(t, one)));
+            const Vec before = hn::Load(d, met_[row] + k);
+            hn::Store(hn::Add(before, hn::IfThenElseZero(hit, more)), d, met_[row] + k);
+        }
+    }
+}
+
+void HairWalk::settle(float darkDepth, std::uint32_t channels, RayDepths& depths) {
+    const Floats d;
+    for (std::uint32_t rest = lanesLeft_; rest; rest &= rest - 1) {
+        for (int group = 0; group < rays_.groups; ++group) {
+            const int row = rays_.row(std::countr_zero(rest), group);
+            std::uint32_t left = 0;
+            for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
+                const Mask open = maskOf(d, std::uint32_t(rays_.open[row]) >> i);
+                const Vec met = hn::IfThenElseZero(open, hn::Load(d, met_[row] + i));
+                for (std::uint32_t c = 0; c < channels; ++c) {
+                    float* const depth = depths.depth[c][row] + i;
+                    const Vec sum = hn::Add(hn::Load(d, depth), met);
+                    hn::Store(sum, d, depth);
+                    left |= bitsOf(d, hn::Lt(sum, hn::Set(d, darkDepth))) << i;
+                }
+            }
+            rays_.open[row] = std::uint16_t(rays_.open[row] & left);
+        }
+    }
+}
+
+void traceHairAt(const NearHair& hair, const HairView& view, float darkDepth,
+                 std::uint32_t channels, RayBundle& rays, RayDepths& depths) {
+    HairWalk walk(hair, view, rays);
+    walk.run();
+    walk.settle(darkDepth, channels, depths);
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace mtsm::trace
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace mtsm::trace {
+
+HWY_EXPORT(traceHairAt);
+
+void traceHair(const NearHair& hair, const Projection& projection,
+               const HairTraceOptions& options, std::uint32_t channels, RayBundle& rays,
+               RayDepths& depths) noexcept {
+    const HairView view{projection.kind == ProjectionKind::perspective,
+                        float(projection.scale.x),
+                        float(projection.scale.y),
+                        float(projection.offset.x),
+                        float(projection.offset.y),
+                        float(projection.pixelFootprint(1.0)),
+                        options.height,
+                        options.start};
+    HWY_DYNAMIC_DISPATCH(traceHairAt)
+    (hair, view, options.darkDepth, channels, rays, depths);
+}
+
+}  // namespace mtsm::trace
+#endif
