@@ -12,6 +12,7 @@
 #include "common/arguments.h"
 #include "common/job.h"
 #include "common/placement.h"
+#include "common/quality_options.h"
 #include "common/tool.h"
 #include "mtsm/bake.h"
 #include "mtsm/caster_files.h"
@@ -61,6 +62,9 @@ constexpr const char* kExamples =
     "    mtsm-bake room.glb --projection cube --light-shape sphere --light-radius 0.05 "
     "\\\n"
     "              --light-position 0,2,0 --resolution 512 -o bulb.mtsm\n"
+    "  as small a map as a picture with a mean error of 0.002 needs:\n"
+    "    mtsm-bake dragon.ply --target-error 0.002 --light-radius 0.3 \\\n"
+    "              --light-position 2,5,3 -o key.mtsm\n"
     "  a job file with settings for each caster, one of its settings overruled:\n"
     "    mtsm-bake shot.toml --resolution 512 -o preview.mtsm\n"
     "\nA job file is TOML. Keys are the options' names, in [light] without their light-; "
@@ -96,6 +100,7 @@ struct Arguments {
     std::int64_t level = 3, threads = 0;
     std::string maxMemory;
     bool color = false, keepHidden = false, quiet = false, json = false;
+    QualityOptions quality;
 };
 
 glm::uvec2 sizeOf(const std::string& resolution) {
@@ -171,6 +176,14 @@ void addViewOptions(CLI::App& app, Arguments& a) {
               "stored in the map (default: the size of a pixel at\n"
               "the layer)")
         ->group(group);
+}
+
+void addQuality(CLI::App& app, Arguments& a) {
+    addQualityOptions(app, a.quality,
+                      "resolution, tolerance and the near field's\n"
+                      "size by what the casters are and what maps were\n"
+                      "measured to have,",
+                      "Quality");
 }
 
 void addLayerOptions(CLI::App& app, Arguments& a) {
@@ -285,6 +298,7 @@ void addGeneralOptions(CLI::App& app, Arguments& a) {
 void addOptions(CLI::App& app, Arguments& a) {
     addFileOptions(app, a);
     addPlacementOptions(app, a.placement);
+    addQuality(app, a);
     addViewOptions(app, a);
     addLayerOptions(app, a);
     addCasterOptions(app, a);
@@ -472,9 +486,54 @@ struct Timing {
     double write = 0, total = 0;
 };
 
-/// "1 mesh", "2 meshes"
-std::string counted(std::uint64_t count, const char* one, const char* many) {
-    return countText(count) + " " + (count == 1 ? one : many);
+const char* kindText(MapKind kind) {
+    switch (kind) {
+        case MapKind::nearField:
+            return "opaque triangles, kept whole beside the layers";
+        case MapKind::surfaces:
+            return "opaque triangles, too many to be kept beside the layers";
+        case MapKind::sheets:
+            return "surfaces that let light through";
+        case MapKind::volume:
+            return "volumes";
+        default:
+            return "hair";
+    }
+}
+
+/// Puts what --quality or --target-error chooses in place of what was not given.
+void chooseSettings(const Arguments& a, const CLI::App& app, CasterSource& casters,
+                    Talk& talk, BakeOptions& bake) {
+    const float error = *a.quality.meanError();
+    const MapSettings chosen = mapSettingsFor(unwrap(measureCasters(casters)), error);
+    std::string text;
+    const auto choose = [&](const char* option, const std::string& value, auto&& set) {
+        if (app.count(option)) return;
+        set();
+        text += std::string(text.empty() ? "" : ", ") + option + " " + value;
+    };
+    choose("--resolution", std::to_string(chosen.resolution),
+           [&] { bake.width = bake.height = chosen.resolution; });
+    choose("--tolerance", shortText(chosen.tolerance),
+           [&] { bake.tolerance = chosen.tolerance; });
+    choose("--near-field",
+           chosen.nearField ? std::to_string(chosen.nearField >> 20) + "M" : "none",
+           [&] { bake.nearField = chosen.nearField; });
+    talk.say("for a mean error of " + errorText(error) + ", of " + kindText(chosen.kind) +
+             ": " + (text.empty() ? "nothing" : text));
+}
+
+/// Says what the map is expected to come to, and if that is too much.
+void checkQuality(const Arguments& a, const Baked& baked, Talk& talk) {
+    const float asked = *a.quality.meanError(), expected = mapError(baked.map);
+    const std::string text = "the map is expected to be off by " + errorText(expected) +
+                             " in the mean over a picture that it fills";
+    if (expected <= asked)
+        talk.say(text);
+    else
+        talk.warn(text + ", more than the " + errorText(asked) +
+                  " asked for: the casters may be too thin; raise --resolution, or hold "
+                  "it against the truth with mtsm-compare");
 }
 
 /// Those of the counts that are not zero, with commas between.
@@ -558,7 +617,10 @@ void sayWhatWasKept(Talk& talk, const Baked& baked, const Arguments& a) {
         r.droppedByLayers + r.droppedByResets + r.droppedHidden + baked.map.layerCount();
     const std::uint64_t merged = info.samples > gone ? info.samples - gone : 0;
     talk.say("kept " + countText(baked.map.layerCount()) + " layers" +
-             (merged ? ", " + countText(merged) + " samples merged into them" : "") +
+             (merged ? ", " + countText(merged) +
+                           (info.toleranceAsked > 0.0f ? " samples merged into them"
+                                                       : " samples change nothing")
+                     : "") +
              "; dropped " + (dropped.empty() ? "nothing" : dropped) + "; tolerance " +
              shortText(info.toleranceAsked) + ", reached " +
              shortText(info.toleranceReached) + ", in " + secondsText(r.compressSeconds));
@@ -608,6 +670,8 @@ nlohmann::ordered_json reportJson(const Baked& baked, const Arguments& a,
     j["toleranceAsked"] = info.toleranceAsked;
     j["toleranceReached"] = info.toleranceReached;
     j["pixelsOverTolerance"] = r.pixelsOverTolerance;
+    if (const auto asked = a.quality.meanError())
+        j["quality"] = {{"targetError", *asked}, {"mapError", mapError(baked.map)}};
     j["castersClipped"] = info.castersClipped;
     j["casters"] = {{"meshes", r.meshes},         {"triangles", r.triangles},
                     {"strands", r.strands},       {"segments", r.segments},
@@ -634,9 +698,11 @@ void run(const Arguments& a, const CLI::App& app, const Input& input, Talk& talk
         return std::chrono::duration<double>(Clock::now() - start).count();
     };
     const auto start = Clock::now();
-    const BakeOptions options = checkedBakeOptions(a, app, input, talk);
+    BakeOptions options = checkedBakeOptions(a, app, input, talk);
     CasterFiles casters(input.casters, filesOptions(a, talk));
+    if (a.quality.meanError()) chooseSettings(a, app, casters, talk, options);
     const Baked baked = unwrap(bake(casters, options));
+    if (a.quality.meanError()) checkQuality(a, baked, talk);
 
     WriteOptions write;
     write.codec = a.codec.value_or(0) == 0 ? Codec::zstd : Codec::none;

@@ -9,6 +9,7 @@
 
 #include "common/arguments.h"
 #include "common/light_options.h"
+#include "common/quality_options.h"
 #include "common/tool.h"
 #include "mtsm/describe.h"
 #include "mtsm/image.h"
@@ -51,6 +52,9 @@ constexpr const char* kExamples =
     "  a renderer's passes to a shadow pass:\n"
     "    mtsm-query key.mtsm --position beauty.exr --normal-pass beauty.exr \\\n"
     "               --samples 256 -o shadow.exr --stats\n"
+    "  as few samples as a mean error of 0.002 needs, and where errors are expected:\n"
+    "    mtsm-query key.mtsm --position beauty.exr --normal-pass beauty.exr \\\n"
+    "               --target-error 0.002 --error-channel -o shadow.exr --stats\n"
     "  the floor seen from above, four units wide around the origin, x to the right\n"
     "  and z down; the first row of the picture is at O:\n"
     "    mtsm-query key.mtsm --plane -2,0,-2,4,0,0,0,0,4 --size 512x512 -o floor.png\n"
@@ -62,6 +66,7 @@ constexpr std::uint64_t kMostPixels = std::uint64_t(1) << 28;  // of --size
 constexpr std::size_t kSliceRays = std::size_t(1) << 20;       // between progress reports
 constexpr std::size_t kMostSlice = std::size_t(1) << 16;       // points at once
 constexpr std::size_t kFewValues = 10000;                      // that --json lists
+constexpr std::int64_t kFewestForErrors = 4;                   // samples
 
 struct Arguments {
     std::string map;
@@ -77,7 +82,8 @@ struct Arguments {
     LightOptions light;
     std::optional<std::size_t> method, quantity, weight, attenuation;
     std::string maxMemory = "8G";
-    bool json = false, stats = false, quiet = false;
+    bool json = false, stats = false, quiet = false, errorChannel = false;
+    QualityOptions quality;
 };
 
 enum class Kind { point, points, rays, position, plane };
@@ -105,6 +111,9 @@ void addOptions(CLI::App& app, Arguments& a) {
                    throw UsageError(
                        "--normal: belongs behind the --point that it is for");
                a.normals.back() = parseTriple("--normal", text);
+               if (a.normals.back() == glm::dvec3(0.0))
+                   throw UsageError("--normal: found \"" + text +
+                                    "\", which has no direction");
            },
            "the surface normal at the --point before it")
         ->type_name("X,Y,Z")
@@ -140,17 +149,31 @@ void addOptions(CLI::App& app, Arguments& a) {
               "lit), or the only one of both in CSV and JSON; an\n"
               ".exr has both always")
         ->group("Output");
+    app.add_flag("--error-channel", a.errorChannel,
+                 "write the expected error of every point as well: how\n"
+                 "far the shadow factor is from that of infinitely many\n"
+                 "samples, told from those that were taken; the map's\n"
+                 "own error is not in it. In an .exr the channel\n"
+                 "shadow.error, in CSV and JSON \"error\"")
+        ->group("Output");
     app.add_flag("--json", a.json,
                  "print statistics, and the results of up to 10000\n"
                  "points or rays, to stdout as a JSON object")
         ->group("Output");
     app.add_flag("--stats", a.stats,
-                 "print points, rays, seconds, rays per second and the\n"
-                 "layers that were read")
+                 "print points, rays, seconds and rays per second, the\n"
+                 "mean error that is expected, and which layers of the\n"
+                 "EXR were read")
         ->group("Output");
 
+    addQualityOptions(app, a.quality,
+                      "samples and how they adapt by what a\n"
+                      "part of the points shows,",
+                      "Query");
     addWhole(app, "--samples", a.samples, 1, kMaxSamples,
-             "points on the light, 1 to 4096 (default: 64)")
+             "points on the light, 1 to 4096 (default: 64; with\n"
+             "--quality or --target-error the most at a point:\n"
+             "4096)")
         ->group("Query");
     addWhole(app, "--seed", a.seed, 0, 0xffffffffll,
              "same seed, same answer on any machine (default: 0)")
@@ -229,9 +252,17 @@ void checkArguments(const Arguments& a, const CLI::App& app, Kind kind) {
     only("--size", kind == Kind::plane, "--plane");
     only("--no-normal", kind == Kind::plane, "--plane");
     for (const char* option :
-         {"--samples", "--seed", "--adaptive", "--method", "--weight", "--light-shape",
-          "--light-position", "--light-radius", "--light-size", "--light-angle"})
+         {"--samples", "--seed", "--adaptive", "--method", "--quality", "--target-error",
+          "--error-channel", "--weight", "--light-shape", "--light-position",
+          "--light-radius", "--light-size", "--light-angle"})
         only(option, kind != Kind::rays, "points; a ray needs no light");
+    if (a.errorChannel && extension(a.output) == ".png")
+        throw UsageError("--error-channel: a .png has no place for it; write an .exr");
+    if (a.errorChannel && app.count("--samples") && a.samples < kFewestForErrors)
+        throw UsageError(
+            "--error-channel: fewer than 4 samples say nothing of their error");
+    if (a.quality.meanError() && a.method.value_or(0) != 0)
+        throw UsageError("--quality, --target-error: are for --method trace");
     if (kind == Kind::plane && a.size.empty())
         throw UsageError("--plane: needs --size WxH, such as --size 512x512");
     const bool normals = kind == Kind::point
@@ -358,8 +389,12 @@ using Planes = std::vector<std::vector<float>>;
 struct Results {
     Planes shadow;  ///< for rays: 1 - visibility
     Planes visibility;
+    std::vector<float> error;  ///< expected, of the mean of the channels; if asked for
     QueryStats stats;
-    double seconds = 0;
+    double seconds = 0, prepareSeconds = 0;
+    /// Expected, if it is known: the mean over points that are surfaces, and the map's.
+    std::optional<double> sampleError, mapError;
+    std::uint64_t noNormal = 0;  ///< points whose normal has no direction
 };
 
 constexpr const char* kColors[] = {"r", "g", "b"};
@@ -373,6 +408,11 @@ Planes complement(const Planes& planes) {
     return result;
 }
 
+double since(std::chrono::steady_clock::time_point start) {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start)
+        .count();
+}
+
 /// Runs `slice(begin, end)` over all of `count`.
 template <typename Slice>
 double inSlices(std::size_t count, std::size_t step, Talk& talk, Slice&& slice) {
@@ -382,8 +422,7 @@ double inSlices(std::size_t count, std::size_t step, Talk& talk, Slice&& slice) 
         slice(begin, std::min(count, begin + step));
     }
     talk.progressDone();
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start)
-        .count();
+    return since(start);
 }
 
 void add(QueryStats& sum, const QueryStats& s) {
@@ -394,15 +433,31 @@ void add(QueryStats& sum, const QueryStats& s) {
     sum.mayBeTruncated += s.mayBeTruncated;
 }
 
+/// Are expected errors of use?
+bool wantsErrors(const Arguments& a, const ShadowOptions& options) {
+    return a.errorChannel || ((a.stats || a.json) && options.samples >= kFewestForErrors);
+}
+
+bool isDirection(glm::dvec3 n) {
+    return std::isfinite(n.x + n.y + n.z) && n != glm::dvec3(0.0);
+}
+
 Results queryPoints(const ShadowMap& map, const AreaLight& light,
-                    const ShadowOptions& options, const Receivers& r, Talk& talk) {
+                    const ShadowOptions& options, bool errors, const Receivers& r,
+                    Talk& talk) {
     Results results;
     results.shadow.assign(map.info().channels, std::vector<float>(r.count, 0.0f));
+    if (errors) results.error.assign(r.count, 0.0f);
     std::vector<std::size_t> which;
+    std::vector<float> error;
+    double sumOfErrors = 0.0;
+    std::uint64_t surfaces = 0;
     std::vector<glm::dvec3> points, normals;
     std::vector<glm::vec3> shadow;
-    const std::size_t step = std::clamp<std::size_t>(
-        kSliceRays / std::size_t(options.samples), 1024, kMostSlice);
+    const int samples =
+        options.targetError > 0.0f ? options.firstSamples : options.samples;
+    const std::size_t step =
+        std::clamp<std::size_t>(kSliceRays / std::size_t(samples), 1024, kMostSlice);
     results.seconds =
         inSlices(r.count, step, talk, [&](std::size_t begin, std::size_t end) {
             which.clear();
@@ -412,20 +467,71 @@ Results queryPoints(const ShadowMap& map, const AreaLight& light,
                 if (r.surface && !r.surface(i)) continue;
                 which.push_back(i);
                 points.push_back(r.point(i));
-                if (r.normal) normals.push_back(r.normal(i));
+                if (!r.normal) continue;
+                normals.push_back(r.normal(i));
+                results.noNormal += !isDirection(normals.back());
             }
             shadow.resize(which.size());
+            if (errors) error.resize(which.size());
             QueryStats stats;
             shadowFactorsColor(map, light, points.data(),
                                r.normal ? normals.data() : nullptr, points.size(),
-                               shadow.data(), options, &stats);
+                               shadow.data(), options, &stats,
+                               errors ? error.data() : nullptr);
             add(results.stats, stats);
+            for (std::size_t k = 0; errors && k < which.size(); ++k) {
+                results.error[which[k]] = error[k];
+                sumOfErrors += double(error[k]);
+            }
+            surfaces += which.size();
             for (std::size_t c = 0; c < results.shadow.size(); ++c)
                 for (std::size_t k = 0; k < which.size(); ++k)
                     results.shadow[c][which[k]] = shadow[k][int(c)];
         });
     results.visibility = complement(results.shadow);
+    if (errors && surfaces > 0) results.sampleError = sumOfErrors / double(surfaces);
     return results;
+}
+
+/// Options for the mean error that was asked for, by a part of the points; says what they
+/// are.
+ShadowOptions plannedOptions(const Arguments& a, const CLI::App& app,
+                             const ShadowMap& map, const AreaLight& light,
+                             ShadowOptions options, const Receivers& r, Talk& talk) {
+    constexpr std::size_t kRun = 16, kRuns = 256;
+    std::vector<glm::dvec3> points, normals;
+    const std::size_t runs = std::min(kRuns, (r.count + kRun - 1) / kRun);
+    for (std::size_t k = 0; k < runs; ++k) {
+        const std::size_t first = r.count / runs * k;
+        for (std::size_t i = first; i < std::min(r.count, first + kRun); ++i) {
+            if (r.surface && !r.surface(i)) continue;
+            points.push_back(r.point(i));
+            if (r.normal) normals.push_back(r.normal(i));
+        }
+    }
+    if (!app.count("--samples")) options.samples = kMaxSamples;
+    const float asked = *a.quality.meanError();
+    const QueryPlan plan =
+        planQueries(map, light, points.data(), r.normal ? normals.data() : nullptr,
+                    points.size(), asked, options);
+    const ShadowOptions& o = plan.options;
+    std::string text = "for a mean error of " + errorText(asked) + ": ";
+    text +=
+        counted(std::uint64_t(std::min(o.firstSamples, o.samples)), "sample", "samples");
+    if (o.targetError > 0.0f && o.samples > o.firstSamples)
+        text += " a point, up to " + std::to_string(o.samples) +
+                " where more than an error of " + errorText(o.targetError) +
+                " is expected";
+    text += "; expected " + errorText(plan.sampleError) + " of samples and " +
+            errorText(plan.mapError) + " of the map";
+    if (plan.reached)
+        talk.say(text);
+    else
+        talk.warn(text + ": more than was asked for; " +
+                  (plan.mapError > 0.5f * asked
+                       ? "bake the map with the same --target-error, or finer"
+                       : "raise --samples"));
+    return o;
 }
 
 Results queryRays(const ShadowMap& map, const std::vector<ShadowRay>& rays,
@@ -462,6 +568,7 @@ std::vector<CsvColumn> resultColumns(const Arguments& a, const Results& results,
     const bool all = !a.quantity && both;
     if (all || a.quantity.value_or(1) == 0) add("shadow", results.shadow);
     if (all || a.quantity.value_or(1) == 1) add("visibility", results.visibility);
+    if (a.errorChannel) columns.push_back({"error", results.error.data()});
     return columns;
 }
 
@@ -524,6 +631,8 @@ void writePicture(const Arguments& a, const Receivers& r, const AreaLight& light
         image.channels.push_back({colored ? "visibility." + color : "visibility",
                                   std::move(results.visibility[c])});
     }
+    if (a.errorChannel)
+        image.channels.push_back({"shadow.error", std::move(results.error)});
     image.attributes = {{"mtsm:map", a.map}, {"mtsm:light", lightText(light)}};
     unwrap(writeImageExr(a.output, image));
 }
@@ -538,11 +647,15 @@ nlohmann::ordered_json statsJson(const Arguments& a, const Receivers& r,
     if (r.normalPass) j["normalLayer"] = r.normalLayer;
     j["points"] = s.points;
     j["rays"] = s.rays;
+    j["prepareSeconds"] = results.prepareSeconds;
     j["seconds"] = results.seconds;
     j["raysPerSecond"] = results.seconds > 0 ? double(s.rays) / results.seconds : 0.0;
     j["notFinite"] = s.notFinite;
     j["behindLight"] = s.behindLight;
     j["mayBeTruncated"] = s.mayBeTruncated;
+    j["noNormal"] = results.noNormal;
+    if (results.sampleError) j["sampleError"] = *results.sampleError;
+    if (results.mapError) j["mapError"] = *results.mapError;
     return j;
 }
 
@@ -562,6 +675,7 @@ nlohmann::ordered_json valuesJson(const Arguments& a, const Results& results) {
         if (a.quantity.value_or(0) == 0) value["shadow"] = numbers(results.shadow, i);
         if (a.quantity.value_or(1) == 1)
             value["visibility"] = numbers(results.visibility, i);
+        if (a.errorChannel) value["error"] = results.error[i];
         values.push_back(std::move(value));
     }
     return values;
@@ -576,11 +690,16 @@ void sayStats(const Arguments& a, const Receivers& r, const Results& results,
                         (r.normalPass ? ", normals from " + layerText(r.normalLayer)
                                       : std::string()));
         talk.answer(
-            countText(s.points) + " points, " + countText(s.rays) + " rays, " +
-            secondsText(results.seconds) + ", " +
+            counted(s.points, "point", "points") + ", " + counted(s.rays, "ray", "rays") +
+            ", " + secondsText(results.seconds) + ", " +
             countText(std::uint64_t(double(s.rays) / std::max(results.seconds, 1e-9))) +
-            " rays per second");
-        talk.answer(countText(s.notFinite) + " points not finite, " +
+            " rays per second; " + secondsText(results.prepareSeconds) +
+            " before, to make the map ready");
+        if (results.sampleError && results.mapError)
+            talk.answer("expected mean error: " + errorText(*results.sampleError) +
+                        " of the samples, about " + errorText(*results.mapError) +
+                        " of the map");
+        talk.answer(counted(s.notFinite, "point", "points") + " not finite, " +
                     countText(s.behindLight) + " behind the light, " +
                     countText(s.mayBeTruncated) + " may be truncated");
     } else if (s.mayBeTruncated) {
@@ -588,6 +707,10 @@ void sayStats(const Arguments& a, const Receivers& r, const Results& results,
                   " points lie outside the light's view, where casters that reach out of "
                   "the map's window may be missing; bake a wider --fov");
     }
+    if (results.noNormal)
+        talk.warn(counted(results.noNormal, "point has", "points have") +
+                  " a normal of no length, or that is not finite: they were asked for "
+                  "without one");
 }
 
 void report(const Arguments& a, Kind kind, const Receivers& r, const Results& results,
@@ -619,13 +742,20 @@ void runRays(const Arguments& a, const ShadowMap& map, Talk& talk) {
     if (a.threshold) options.threshold = float(*a.threshold);
     options.attenuation = attenuation(a);
     const std::vector<ShadowRay> rays = unwrap(readRays(a.raysFile));
+    const auto still = std::count_if(rays.begin(), rays.end(), [](const ShadowRay& ray) {
+        return !isDirection(ray.direction);
+    });
+    if (still > 0)
+        talk.warn(counted(std::uint64_t(still), "ray has", "rays have") +
+                  " no direction: nothing is in their way");
     refuseLongJson(a, rays.size());
     const Results results = queryRays(map, rays, options, talk);
     if (!a.json || !a.output.empty()) writeRayCsv(a, rays, results);
     report(a, Kind::rays, {}, results, talk);
 }
 
-void runPoints(const Arguments& a, Kind kind, const ShadowMap& map, Talk& talk) {
+void runPoints(const Arguments& a, const CLI::App& app, Kind kind, const ShadowMap& map,
+               Talk& talk) {
     AreaLight light = map.info().light;
     if (const auto shape = a.light.shape(); shape && a.light.shapeIndex)
         light.shape = *shape;
@@ -646,7 +776,15 @@ void runPoints(const Arguments& a, Kind kind, const ShadowMap& map, Talk& talk) 
         throw UsageError(
             "--weight: cosine needs the receiver's normals: columns nx,ny,nz");
     refuseLongJson(a, isPicture(kind) ? 0 : r.count);
-    Results results = queryPoints(map, light, options, r, talk);
+    const auto start = std::chrono::steady_clock::now();
+    if (options.method == ShadowMethod::trace) prepareQueries(map);
+    if (a.quality.meanError())
+        options = plannedOptions(a, app, map, light, options, r, talk);
+    const double prepareSeconds = since(start);
+    Results results = queryPoints(map, light, options, wantsErrors(a, options), r, talk);
+    results.prepareSeconds = prepareSeconds;
+    results.mapError = mapError(map);
+    if (kind == Kind::point) results.noNormal = 0;  // none was given
     if (isPicture(kind) && extension(a.output) != ".csv")
         writePicture(a, r, light, results);
     else if (!a.json || !a.output.empty())
@@ -665,7 +803,7 @@ void run(const Arguments& a, const CLI::App& app, Talk& talk) {
     if (kind == Kind::rays)
         runRays(a, map, talk);
     else
-        runPoints(a, kind, map, talk);
+        runPoints(a, app, kind, map, talk);
 }
 
 }  // namespace

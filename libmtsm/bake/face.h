@@ -17,7 +17,7 @@ struct CasterKinds {
     bool media = false;        ///< some caster is hair or a volume
 };
 
-/// Does it stop all light wherever it is, or none anywhere?
+/// Does it stop all light or none, wherever it is?
 [[nodiscard]] bool isSolid(const MeshView& mesh) noexcept;
 /// False: it is not there.
 [[nodiscard]] bool isThere(const StrandsView& strands) noexcept;

@@ -1,6 +1,7 @@
 // The map itself as a row of the comparison: baked, then traced or filtered.
 #include "baseline/depth_map.h"
 #include "baseline/methods.h"
+#include "mtsm/quality.h"
 #include "mtsm/shadow.h"
 
 namespace mtsm::baseline {
@@ -31,6 +32,12 @@ class MtsmMethod final : public Method {
         options.attenuation = settings.word("attenuation") == "subtract"
                                   ? Attenuation::subtract
                                   : Attenuation::multiply;
+        if (const auto error = float(settings.number("target-error")); error > 0.0f) {
+            options.samples = kMaxSamples;
+            options =
+                planQueries(map_, light, at.points, at.normals, at.count, error, options)
+                    .options;
+        }
         if (Status fine = checkQuery(map_, light, options); !fine) return fine;
         // Where the ray tracer's rays start: beside a strand a tenth of its width
         // matters.
@@ -53,6 +60,14 @@ Result<std::unique_ptr<Method>> build(const MethodScene& scene,
     options.tolerance = float(settings.number("tolerance"));
     options.subsamples = std::uint32_t(settings.whole("subsamples"));
     options.nearField = settings.word("near") == "auto" ? kAutomaticNearField : 0;
+    if (const auto error = float(settings.number("target-error")); error > 0.0f) {
+        const auto casters = measureCasters(scene.casters);
+        if (!casters) return casters.error();
+        const MapSettings chosen = mapSettingsFor(*casters, error);
+        options.width = options.height = chosen.resolution;
+        options.tolerance = chosen.tolerance;
+        options.nearField = chosen.nearField;
+    }
     auto baked = bake(scene.casters, options);
     if (!baked) return baked.error();
     return std::unique_ptr<Method>(
@@ -80,6 +95,10 @@ MethodInfo mtsmMethod() {
                       SettingUse::build),
         wordSetting("near", {"auto", "none"}, "the casters' triangles beside the layers",
                     SettingUse::build),
+        numberSetting("target-error", 0.0, 0.0, 1.0,
+                      "mean error for which resolution, tolerance, near and samples are "
+                      "chosen; 0: as they are given",
+                      SettingUse::build),
         wholeSetting("samples", 256, 1, kMaxSamples, "rays per point"),
         numberSetting("query-bias", -1.0, -1.0, 1e9,
                       "z threshold of the query, world units; -1: the map's own"),

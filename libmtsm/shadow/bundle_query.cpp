@@ -46,6 +46,20 @@ bool hasNear(const ShadowMap& map, std::uint32_t face) {
                           : hair && map.faceCount() == 1;
 }
 
+/// More where the light is so far away that floats tell no such heights apart: a receiver
+/// is rounded to one of them, and its own triangles' corners as well.
+double nearHeightOf(const ShadowMap& map) noexcept {
+    constexpr double kRoundings = 8.0;
+    double height = kNearHeight;
+    for (std::uint32_t f = 0; f < map.faceCount(); ++f) {
+        if (map.zRange(f).empty()) continue;
+        const double z = std::abs(map.zRange(f).max);
+        height = std::max(height,
+                          kRoundings * 0x1p-24 * z / map.projection(f).pixelFootprint(z));
+    }
+    return height;
+}
+
 LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& light,
                              const ShadowOptions& options, bool near, bool normals,
                              std::optional<std::uint32_t> onlyKey) {
@@ -63,15 +77,24 @@ LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& li
         setting.nearDepth = sheets ? kSheetMost : hair ? kHairMost : kNearDepth;
         setting.nearWidth = sheets ? kSheetWidth : hair ? kHairWidth : 0.0;
         setting.nearLeast = sheets ? kSheetLeast : kHairLeast;
-        setting.nearHeight = kNearHeight;
+        setting.nearHeight = nearHeightOf(map);
         setting.nearStart = kNearStart;
     }
     setting.media = !map.isOpaque();
     setting.sheets = map.info().translucent == Translucent::sheets;
-    setting.probe = options.adaptive;
+    setting.steps = SampleSteps::of(options, setting.samples);
     setting.joined = map.faceCount() > 1;
     setting.ways = setting.joined && setting.media;
     return setting;
+}
+
+/// Of rays in the order of their samples: which of those that there are see light.
+float spreadOf(std::uint32_t lit, std::uint32_t rays) {
+    constexpr std::uint32_t kFirst = (1u << kQuad) - 1;
+    float spread = 0.0f;
+    for (; rays; rays >>= kQuad, lit >>= kQuad)
+        spread += quadSpread(std::popcount(lit & kFirst), std::popcount(rays & kFirst));
+    return spread;
 }
 
 float sum(std::uint32_t rays, const float* weights) {
@@ -98,7 +121,7 @@ BundleQuery::Face::Face(const ShadowMap& map, std::uint32_t number, ZRange reach
       depths(reach),
       places(map, number, reach, light),
       outline(projection, light),
-      nearHeight(float(kNearHeight * projection.pixelFootprint(1.0))),
+      nearHeight(float(nearHeightOf(map) * projection.pixelFootprint(1.0))),
       nearField(map.nearField(number)),
       nearHair(map.nearHair(number)),
       nearSheets(map.nearSheets(number)),
@@ -122,7 +145,7 @@ BundleQuery::Face::Face(const ShadowMap& map, std::uint32_t number, ZRange reach
 }
 
 BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
-                         const ShadowOptions& options, const Receiver* only)
+                         const ShadowOptions& options, bool errors, const Receiver* only)
     : map_(map),
       light_(light),
       options_(options),
@@ -131,7 +154,9 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
       media_(map.info().translucent == Translucent::media),
       samples_(light_.isPoint()
                    ? 1u
-                   : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples))) {
+                   : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples))),
+      steps_(SampleSteps::of(options, samples_)),
+      errors_(errors || options.targetError > 0.0f) {
     const light::LightView seen =
         light_.view(map.projection(0).eye + map.projection(0).forward);
     fixedAxes_ = seen.endless || seen.domain != light::LightView::Domain::cap;
@@ -477,6 +502,11 @@ void BundleQuery::addUp(const Rays& rays, const std::uint16_t* valid, bool weigh
                 weights ? sum(left, fates.weight[row]) : float(std::popcount(left));
             if (left) s.most = 1.0f;
             if (left != valid[row]) s.least = 0.0f;
+            if (errors_ && left) {
+                s.seen.sum += float(std::popcount(left));
+                s.seen.squares = s.seen.sum;
+                if (left != valid[row]) s.seen.spread += spreadOf(left, valid[row]);
+            }
         }
         return;
     }
@@ -484,6 +514,7 @@ void BundleQuery::addUp(const Rays& rays, const std::uint16_t* valid, bool weigh
     const auto threshold = float(thresholdOf(options_.threshold));
     for (int row = 0; row < rows; ++row) {
         Sums& s = sums[row / rays.bundle.groups];
+        float means[trace::kLanes];  // of the channels
         for (std::uint32_t rest = valid[row]; rest; rest &= rest - 1) {
             const int i = std::countr_zero(rest);
             glm::vec3 v(fates.clear[row] >> i & 1 ? 1.0f : 0.0f);
@@ -497,7 +528,16 @@ void BundleQuery::addUp(const Rays& rays, const std::uint16_t* valid, bool weigh
             s.visible += (weights ? fates.weight[row][i] : 1.0f) * v;
             s.least = std::min({s.least, v.x, v.y, v.z});
             s.most = std::max({s.most, v.x, v.y, v.z});
+            means[i] = mean(v, channels);
         }
+        if (!errors_) continue;
+        const int count = std::popcount(valid[row]);
+        for (int i = 0; i < count; ++i) {
+            s.seen.sum += means[i];
+            s.seen.squares += means[i] * means[i];
+        }
+        for (int i = 0; i < count; i += kQuad)
+            s.seen.spread += quadSpread(means + i, std::min(kQuad, count - i));
     }
 }
 
@@ -571,30 +611,42 @@ void BundleQuery::glance(const Receiver* receivers, int count, Glance* told,
     const bool single =
         faces_.size() == 1 || facesMet(home, receivers[0].point) == 1u << home;
     if (single) findLit(face, outlooks, parts, told);
-    const std::uint32_t rays = probes() ? std::uint32_t(trace::kLanes) : samples_;
+    const std::uint32_t rays = steps_.end[0];
     for (int i = 0; i < count; ++i)
         stats.rays += told[i] == Glance::lit ? rays : 0;
 }
 
-bool BundleQuery::probes() const noexcept {
-    return options_.adaptive && samples_ > trace::kLanes;
-}
-
-bool BundleQuery::isMixed(const Sums& sums) noexcept {
+bool BundleQuery::isEnough(const Sums& sums, int step) const noexcept {
+    if (step + 1 == steps_.count) return true;
+    if (options_.targetError > 0.0f) return errorOf(sums, step) <= options_.targetError;
     constexpr float kSame = 1.0f / 64;
-    return sums.most - sums.least > kSame;
+    return sums.most - sums.least <= kSame;
 }
 
-glm::vec3 BundleQuery::factorsOf(const Sums& sums, bool probed) const noexcept {
+/// The mean visibilities.
+glm::vec3 BundleQuery::visibleOf(const Sums& sums, int step) const noexcept {
     const bool weights = options_.weight == Weight::cosine && sums.total >= 0.0f;
-    const float total =
-        weights ? sums.total : float(probed ? std::uint32_t(trace::kLanes) : samples_);
+    const float total = weights ? sums.total : float(steps_.end[step]);
     // All weights may vanish in the distance; below the horizon all is dark.
-    if (!(total > 0.0f)) return glm::vec3(sums.above ? 0.0f : 1.0f);
-    return glm::clamp(1.0f - sums.visible / total, 0.0f, 1.0f);
+    if (!(total > 0.0f)) return glm::vec3(sums.above ? 1.0f : 0.0f);
+    return glm::clamp(sums.visible / total, 0.0f, 1.0f);
 }
 
-void BundleQuery::look(const Receiver* receivers, int count, Part part, Sums* sums,
+float BundleQuery::errorOf(const Sums& sums, int step) const noexcept {
+    if (light_.isPoint()) return 0.0f;
+    return sampleError(sums.seen, steps_.first(step), steps_.end[step]);
+}
+
+Answer BundleQuery::answerOf(const Sums& sums, int step) const noexcept {
+    return {1.0f - visibleOf(sums, step), errors_ ? errorOf(sums, step) : 0.0f};
+}
+
+Answer BundleQuery::answerOf(Glance told) const noexcept {
+    return {glm::vec3(told == Glance::lit ? 0.0f : 1.0f),
+            errors_ ? errorOf(Sums{}, 0) : 0.0f};
+}
+
+void BundleQuery::look(const Receiver* receivers, int count, int step, Sums* sums,
                        QueryStats& stats) const noexcept {
     const bool normals = receivers[0].normal != glm::dvec3(0.0);
     const bool weights = normals && options_.weight == Weight::cosine;
@@ -612,8 +664,13 @@ void BundleQuery::look(const Receiver* receivers, int count, Part part, Sums* su
     Rays rays;
     std::uint16_t valid[trace::kMostRows];
     const int atOnce = trace::kMostRows / count;
-    const int end = part == Part::probe ? 1 : light.groups();
-    for (int first = part == Part::others ? 1 : 0; first < end; first += atOnce) {
+    for (int i = 0; i < count; ++i)
+        sums[i].seen.spread = 0.0f;
+    const auto groupsOf = [](std::uint32_t samples) {
+        return int((samples + trace::kLanes - 1) / trace::kLanes);
+    };
+    const int end = groupsOf(steps_.end[step]);
+    for (int first = groupsOf(steps_.first(step)); first < end; first += atOnce) {
         light.fill(lanes, first, std::min(atOnce, end - first), rays.bundle, rays.fates);
         const int groups = rays.bundle.groups, rows = count * groups;
         for (int row = 0; row < rows; ++row) {

@@ -22,6 +22,7 @@
 #include "shadow/light_rays.h"
 #include "shadow/query.h"
 #include "shadow/receiver_places.h"
+#include "shadow/sample_error.h"
 #include "trace/density_trace.h"
 #include "trace/density_tree.h"
 #include "trace/patch_tree.h"
@@ -35,8 +36,10 @@ class BundleQuery {
                                      const ShadowOptions& options);
 
     /// `only`: nothing else will be asked for.
+    /// `errors`: answers come with their expected error.
     BundleQuery(const ShadowMap& map, const AreaLight& light,
-                const ShadowOptions& options, const Receiver* only = nullptr);
+                const ShadowOptions& options, bool errors,
+                const Receiver* only = nullptr);
 
     /// Of 1 to ReceiverPlaces::kAtOnce points numbers as ReceiverPlaces has them.
     void findPlaces(const glm::dvec3* points, int count,
@@ -64,18 +67,19 @@ class BundleQuery {
         float total = 0.0f;               ///< of the weights
         float least = 1.0f, most = 0.0f;  ///< visibilities of its rays
         bool above = false;               ///< has it rays above its horizon?
+        Seen seen;                        ///< if errors matter
     };
-    /// Of all rays: the first part, and the others if that is not enough.
-    enum class Part { all, probe, others };
-    /// Adds what some rays of 1 to 16 receivers of one face see; counts rays.
-    void look(const Receiver* receivers, int count, Part part, Sums* sums,
+    /// Steps in which a query takes its rays.
+    [[nodiscard]] int steps() const noexcept { return steps_.count; }
+    /// Adds what the rays of a step see of 1 to 16 receivers of one face; counts rays.
+    void look(const Receiver* receivers, int count, int step, Sums* sums,
               QueryStats& stats) const noexcept;
-    /// Are all rays needed that the probe has not yet followed?
-    [[nodiscard]] static bool isMixed(const Sums& sums) noexcept;
-    /// Has a query two parts?
-    [[nodiscard]] bool probes() const noexcept;
-    /// The shadow factors; `probed`: of the first part alone.
-    [[nodiscard]] glm::vec3 factorsOf(const Sums& sums, bool probed) const noexcept;
+    /// Does a receiver need no further step?
+    [[nodiscard]] bool isEnough(const Sums& sums, int step) const noexcept;
+    /// The shadow factors, and their expected error if it was asked for.
+    [[nodiscard]] Answer answerOf(const Sums& sums, int step) const noexcept;
+    /// The same for what a glance told.
+    [[nodiscard]] Answer answerOf(Glance told) const noexcept;
 
   private:
     static constexpr std::uint32_t kFaceBits = 15u << 26;  // and if others are met
@@ -135,6 +139,8 @@ class BundleQuery {
              const RayFates& homeFates, int homeRow, int row, Rays& rays) const noexcept;
     void follow(const Face& face, Rays& rays) const noexcept;
     [[nodiscard]] trace::DensityTraceOptions densityOptions() const noexcept;
+    [[nodiscard]] glm::vec3 visibleOf(const Sums& sums, int step) const noexcept;
+    [[nodiscard]] float errorOf(const Sums& sums, int step) const noexcept;
     void traceNear(const Face& face, Rays& rays) const noexcept;
     void traceSheets(const Face& face, Rays& rays) const noexcept;
     void addUp(const Rays& rays, const std::uint16_t* valid, bool weights,
@@ -146,6 +152,8 @@ class BundleQuery {
     trace::ZBias bias_;
     bool opaque_, media_;
     std::uint32_t samples_;
+    SampleSteps steps_;
+    bool errors_;     // do they matter?
     bool fixedAxes_;  // are the light's axes the same for all points?
     double capHeight_;
     std::vector<Face> faces_;

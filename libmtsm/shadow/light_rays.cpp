@@ -22,6 +22,7 @@ struct FillInput {
     const LightRays::View& view;
     const LightRays::Points& points;
     int samples, firstGroup, groups;
+    int among;  // samples that these are neighbours of
     light::LightView::Domain domain;
     bool endless, normals, weights, media, sheets, ways;
     glm::vec3 shines;
@@ -279,7 +280,7 @@ class Starts {
         const Vec extentU = hn::Sub(slopes.highU, slopes.lowU);
         const Vec extentV = hn::Sub(slopes.highV, slopes.lowV);
         const Vec lightArea = area();
-        keep(hn::Sqrt(hn::Mul(lightArea, constant(1.0f / float(in_.samples)))),
+        keep(hn::Sqrt(hn::Mul(lightArea, constant(1.0f / float(in_.among)))),
              bundle_.spread);
         Vec depth = hn::MulAdd(constant(view_.nearPerW), hn::Abs(start_.z),
                                constant(view_.nearConstant));
@@ -591,29 +592,19 @@ namespace {
 /// Sequences that receivers choose from.
 constexpr std::uint32_t kPatterns = 32;
 
-/// Neighbours in the square get numbers close to each other.
-std::uint64_t placeOf(glm::dvec2 u) {
-    std::uint64_t place = 0;
-    const auto x = std::uint32_t(u.x * 0x1p16), y = std::uint32_t(u.y * 0x1p16);
-    for (int bit = 15; bit >= 0; --bit)
-        place = place << 2 | std::uint64_t(y >> bit & 1) << 1 | (x >> bit & 1);
-    return place;
-}
-
-/// The first points of a sequence, neighbours close to each other; of the first `probe`
-/// and of the others.
+/// The first points of a sequence, in each step neighbours close to each other.
 std::vector<glm::dvec2> pattern(std::uint32_t number, std::uint32_t seed,
-                                std::uint32_t samples, std::uint32_t probe) {
+                                const SampleSteps& steps) {
     const base::SquareSequence sequence(base::mix(std::uint64_t(seed) << 32 | number));
-    std::vector<std::pair<std::uint64_t, glm::dvec2>> order;
-    for (std::uint32_t i = 0; i < samples; ++i) {
-        const glm::dvec2 u = sequence(i);
-        order.emplace_back(placeOf(u), u);
+    std::vector<std::pair<std::uint32_t, glm::dvec2>> order;
+    for (int step = 0; step < steps.count; ++step) {
+        for (std::uint32_t i = steps.first(step); i < steps.end[step]; ++i) {
+            const glm::dvec2 u = sequence(i);
+            order.emplace_back(placeOfSample(u), u);
+        }
+        std::sort(order.begin() + steps.first(step), order.end(),
+                  [](const auto& a, const auto& b) { return a.first < b.first; });
     }
-    const auto byPlace = [](const auto& a, const auto& b) { return a.first < b.first; };
-    const auto others = order.begin() + std::min(probe, samples);
-    std::sort(order.begin(), others, byPlace);
-    std::sort(others, order.end(), byPlace);
     std::vector<glm::dvec2> points;
     for (const auto& [place, u] : order)
         points.push_back(u);
@@ -629,9 +620,7 @@ LightRays::Points makePoints(const LightRays::Setting& setting,
     points.groups.assign(points.each / trace::kLanes, none);
     for (std::uint32_t p = 0; p < points.patterns; ++p) {
         const std::uint32_t number = setting.onlyKey ? *setting.onlyKey % kPatterns : p;
-        for (const glm::dvec2 sample :
-             pattern(number, setting.seed, setting.samples,
-                     setting.probe ? std::uint32_t(trace::kLanes) : 0u)) {
+        for (const glm::dvec2 sample : pattern(number, setting.seed, setting.steps)) {
             const glm::dvec2 u = setting.isPoint ? glm::dvec2(0.5) : sample;
             const glm::dvec2 at = domain == light::LightView::Domain::square
                                       ? 2.0 * u - 1.0
@@ -697,12 +686,17 @@ double LightRays::nearestOf(const Projection& p, ZRange depths) noexcept {
 
 void LightRays::fill(const ReceiverLanes& receivers, int first, int groups,
                      trace::RayBundle& bundle, RayFates& fates) const noexcept {
+    int step = 0;
+    while (step + 1 < setting_.steps.count &&
+           std::uint32_t(first) * trace::kLanes >= setting_.steps.end[step])
+        ++step;
     const FillInput input{receivers,
                           view_,
                           *points_,
                           int(setting_.samples),
                           first,
                           groups,
+                          int(setting_.steps.end[step]),
                           domain_,
                           endless_,
                           setting_.normals,

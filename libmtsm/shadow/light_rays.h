@@ -13,6 +13,7 @@
 
 #include "light/sample.h"
 #include "mtsm/map.h"
+#include "shadow/sample_error.h"
 #include "trace/bundle.h"
 
 namespace mtsm::shadow {
@@ -65,7 +66,8 @@ class LightRays {
         std::uint32_t seed = 0;
         bool isPoint = false;  ///< the light: nothing but its middle matters
         bool normals = false, weights = false;
-        bool probe = false;  ///< the first group is a sample of all of the light
+        /// Each of them is a sample of all of the light, in groups of its own.
+        SampleSteps steps;
         /// A map that is not opaque: RayBundle::beginSurfaces matters; of sheets both are
         /// as far from the receiver.
         bool media = false, sheets = false;
@@ -90,8 +92,8 @@ class LightRays {
 
     /// Of all rays of a receiver.
     [[nodiscard]] int groups() const noexcept { return groups_; }
-    /// The rays of `groups` groups from number `first` on. Those below a receiver's
-    /// horizon are neither open nor clear.
+    /// The rays of `groups` groups, all of one step, from number `first` on. Those below
+    /// a receiver's horizon are neither open nor clear.
     void fill(const ReceiverLanes& receivers, int first, int groups,
               trace::RayBundle& bundle, RayFates& fates) const noexcept;
 

@@ -7,6 +7,7 @@
 
 #include "base/finite.h"
 #include "shadow/query.h"
+#include "shadow/sample_error.h"
 
 namespace mtsm::shadow {
 
@@ -19,24 +20,30 @@ double thresholdOf(float asked) noexcept {
     return asked >= 0.0f ? std::min(asked, std::nextafter(1.0f, 0.0f)) : 0.0;
 }
 
-Query::Query(const ShadowMap& map, const AreaLight& light,
-             const ShadowOptions& options) noexcept
+Query::Query(const ShadowMap& map, const AreaLight& light, const ShadowOptions& options,
+             bool errors) noexcept
     : map_(map),
       light_(light),
       options_(options),
       bias_(biasOf(map, options.bias)),
-      media_(map.info().translucent == Translucent::media) {
-    samples_ = light_.isPoint()
-                   ? 1u
-                   : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
+      media_(map.info().translucent == Translucent::media),
+      errors_(errors) {
+    const auto samples = light_.isPoint()
+                             ? 1u
+                             : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
+    // Ray by ray it pays to look only where an error was asked for.
+    options_.adaptive = false;
+    if (options.method != ShadowMethod::trace) options_.targetError = 0.0f;
+    errors_ = errors_ || options_.targetError > 0.0f;
+    steps_ = SampleSteps::of(options_, samples);
 }
 
-glm::vec3 Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
-                              QueryStats& stats) const noexcept {
+Answer Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
+                           QueryStats& stats) const noexcept {
     if (!isShadowed(point)) {
         ++stats.points;
         ++(base::isFinite(point) ? stats.behindLight : stats.notFinite);
-        return glm::vec3(0.0f);
+        return {};
     }
     count(point, stats);
     return blocked(receiverAt(point, normal), base::pointKey(point, options_.seed),
@@ -71,36 +78,65 @@ Query::Receiver Query::receiverAt(glm::dvec3 point, glm::dvec3 normal) const noe
 }
 
 /// One minus the weighted mean of the visibility over the light.
-glm::vec3 Query::blocked(const Receiver& receiver, std::uint64_t key,
-                         QueryStats& stats) const noexcept {
+Answer Query::blocked(const Receiver& receiver, std::uint64_t key,
+                      QueryStats& stats) const noexcept {
     const base::SquareSequence sequence(key);
     const bool cosine = options_.weight == Weight::cosine && receiver.hasNormal;
+    SeenSample seen[kMaxSamples];  // if errors matter
     glm::dvec3 visible(0.0);
     double total = 0.0;
     bool above = false;
-    for (std::uint32_t i = 0; i < samples_; ++i) {
-        const glm::dvec2 u = light_.isPoint() ? glm::dvec2(0.5) : sequence(i);
-        const light::LightSample sample = light_.sample(receiver.point, u);
-        const double towards =
-            receiver.hasNormal ? glm::dot(sample.delta, receiver.plane.normal) : 1.0;
-        double weight = 1.0;
-        if (cosine)
-            weight = std::max(0.0, towards / glm::length(sample.delta)) * sample.weight;
-        // Not a comparison that NaN could pass: a sample at the receiver itself has no
-        // direction.
-        if (!(weight >= 0.0)) weight = 0.0;
-        total += weight;
-        above = above || towards > 0.0;
-        if (!(towards > 0.0) || weight == 0.0) continue;  // below the horizon: blocked
-        ++stats.rays;
-        const trace::ChannelVisibility v = options_.method == ShadowMethod::pcf
-                                               ? filtered(receiver, sample)
-                                               : traced(receiver, sample);
-        visible += weight * glm::dvec3(v[0], v[1], v[2]);
+    float error = 0.0f;
+    for (int step = 0; step < steps_.count; ++step) {
+        for (std::uint32_t i = steps_.first(step); i < steps_.end[step]; ++i) {
+            const glm::dvec2 u = light_.isPoint() ? glm::dvec2(0.5) : sequence(i);
+            if (errors_) seen[i] = {placeOfSample(u), 0.0f};
+            const light::LightSample sample = light_.sample(receiver.point, u);
+            const double towards =
+                receiver.hasNormal ? glm::dot(sample.delta, receiver.plane.normal) : 1.0;
+            double weight = 1.0;
+            if (cosine)
+                weight =
+                    std::max(0.0, towards / glm::length(sample.delta)) * sample.weight;
+            // Not a comparison that NaN could pass: a sample at the receiver itself has
+            // no direction.
+            if (!(weight >= 0.0)) weight = 0.0;
+            total += weight;
+            above = above || towards > 0.0;
+            if (!(towards > 0.0) || weight == 0.0)
+                continue;  // below the horizon: blocked
+            ++stats.rays;
+            const trace::ChannelVisibility v = options_.method == ShadowMethod::pcf
+                                                   ? filtered(receiver, sample)
+                                                   : traced(receiver, sample);
+            visible += weight * glm::dvec3(v[0], v[1], v[2]);
+            if (errors_) seen[i].visibility = mean(v, map_.info().channels);
+        }
+        if (errors_) error = errorOf(seen, steps_.end[step]);
+        if (options_.targetError > 0.0f && error <= options_.targetError) break;
     }
     // All weights may vanish in the distance; below the horizon all is dark.
-    if (!(total > 0.0)) return glm::vec3(above ? 0.0f : 1.0f);
-    return glm::vec3(glm::clamp(1.0 - visible / total, 0.0, 1.0));
+    if (!(total > 0.0)) return {glm::vec3(above ? 0.0f : 1.0f), error};
+    return {glm::vec3(glm::clamp(1.0 - visible / total, 0.0, 1.0)), error};
+}
+
+/// Sorts what was seen.
+float Query::errorOf(SeenSample* seen, std::uint32_t samples) const noexcept {
+    if (light_.isPoint()) return 0.0f;
+    std::sort(seen, seen + samples,
+              [](const SeenSample& a, const SeenSample& b) { return a.place < b.place; });
+    Seen sums;
+    for (std::uint32_t first = 0; first < samples; first += kQuad) {
+        const int count = std::min(kQuad, int(samples - first));
+        float quad[kQuad] = {};
+        for (int i = 0; i < count; ++i) {
+            const float v = quad[i] = seen[first + std::uint32_t(i)].visibility;
+            sums.sum += v;
+            sums.squares += v * v;
+        }
+        sums.spread += quadSpread(quad, count);
+    }
+    return sampleError(sums, 0, samples);
 }
 
 trace::ChannelVisibility Query::traced(const Receiver& receiver,

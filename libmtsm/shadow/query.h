@@ -7,6 +7,7 @@
 #include "light/sample.h"
 #include "mtsm/map.h"
 #include "mtsm/shadow.h"
+#include "shadow/sample_error.h"
 #include "trace/traverse.h"
 
 namespace mtsm::shadow {
@@ -29,11 +30,18 @@ inline constexpr double kMediaStart = 1.0;
 /// A threshold that queries accept, whatever was asked for.
 [[nodiscard]] double thresholdOf(float asked) noexcept;
 
+/// What is found out about a point.
+struct Answer {
+    glm::vec3 factors{0.0f};  ///< shadow factors of the channels
+    float error = 0.0f;       ///< expected |found - true| of their mean, if asked for
+};
+
 /// Whatever stays the same for all points of a series of queries.
 class Query {
   public:
-    Query(const ShadowMap& map, const AreaLight& light,
-          const ShadowOptions& options) noexcept;
+    /// `errors`: answers come with their expected error.
+    Query(const ShadowMap& map, const AreaLight& light, const ShadowOptions& options,
+          bool errors) noexcept;
 
     /// Is there anything to be found out about the point? It is finite and in front of
     /// the light.
@@ -43,9 +51,9 @@ class Query {
     /// Counts a point of which that is true.
     void count(glm::dvec3 point, QueryStats& stats) const noexcept;
 
-    /// Shadow factors of the channels at a point; adds to `stats`.
-    [[nodiscard]] glm::vec3 shadowFactor(glm::dvec3 point, glm::dvec3 normal,
-                                         QueryStats& stats) const noexcept;
+    /// Shadow factors at a point; adds to `stats`.
+    [[nodiscard]] Answer shadowFactor(glm::dvec3 point, glm::dvec3 normal,
+                                      QueryStats& stats) const noexcept;
 
   private:
     struct Receiver {
@@ -63,8 +71,14 @@ class Query {
         double z = 0.0;
     };
     [[nodiscard]] Receiver receiverAt(glm::dvec3 point, glm::dvec3 normal) const noexcept;
-    [[nodiscard]] glm::vec3 blocked(const Receiver& receiver, std::uint64_t key,
-                                    QueryStats& stats) const noexcept;
+    [[nodiscard]] Answer blocked(const Receiver& receiver, std::uint64_t key,
+                                 QueryStats& stats) const noexcept;
+    /// By the place of its sample.
+    struct SeenSample {
+        std::uint32_t place;
+        float visibility;
+    };
+    [[nodiscard]] float errorOf(SeenSample* seen, std::uint32_t samples) const noexcept;
     [[nodiscard]] trace::ChannelVisibility traced(
         const Receiver& receiver, const light::LightSample& sample) const noexcept;
     [[nodiscard]] trace::ChannelVisibility filtered(
@@ -81,8 +95,9 @@ class Query {
     light::LightSampler light_;
     ShadowOptions options_;
     trace::ZBias bias_;
-    bool media_;  // does the map hold media?
-    std::uint32_t samples_ = 1;
+    bool media_;   // does the map hold media?
+    bool errors_;  // do answers have them?
+    SampleSteps steps_;
 };
 
 /// Of finite place, direction and length above 0; all others are clear.

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <mutex>
 #include <new>
+#include <utility>
 #include <vector>
 
 #include "base/finite.h"
@@ -21,6 +22,7 @@ namespace mtsm {
 namespace {
 
 using base::makeError;
+using shadow::Answer;
 
 constexpr std::size_t kPointsPerTask = 256;
 
@@ -32,7 +34,7 @@ void add(QueryStats& total, const QueryStats& part) {
     total.mayBeTruncated += part.mayBeTruncated;
 }
 
-/// Hands the factors of point i to take(i, factors), for all points, one by one.
+/// Hands the answer about point i to take(i, answer), for all points, one by one.
 template <typename Take>
 void answerEach(const shadow::Query& query, const glm::dvec3* points,
                 const glm::dvec3* normals, std::size_t count, QueryStats& stats,
@@ -49,57 +51,72 @@ void answerEach(const shadow::Query& query, const glm::dvec3* points,
     base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
 }
 
-/// Points of a batch, those of which a probe does not tell enough put together anew.
+/// Points of a batch; those of which a step does not tell enough are put together anew.
 template <typename Take>
 class Groups {
   public:
+    using Receiver = shadow::Receiver;
     Groups(const shadow::BundleQuery& bundles, QueryStats& stats, const Take& take)
         : bundles_(bundles), stats_(stats), take_(take) {}
 
     /// Up to 16 of them: all with normals, or none.
-    void add(const shadow::Receiver* receivers, const std::size_t* points,
-             std::size_t count) {
-        using Part = shadow::BundleQuery::Part;
+    void add(const Receiver* receivers, const std::size_t* points, std::size_t count) {
         shadow::BundleQuery::Sums sums[trace::kMostReceivers];
-        const bool probes = bundles_.probes();
-        bundles_.look(receivers, int(count), probes ? Part::probe : Part::all, sums,
-                      stats_);
-        // Those that wait have normals as well, or none has; and are of the same face.
-        if (waiting_ > 0 &&
-            (shadow::saysSomething(receivers[0].normal) !=
-                 shadow::saysSomething(receivers_[0].normal) ||
-             bundles_.faceOf(receivers[0].point) != bundles_.faceOf(receivers_[0].point)))
-            finish();
-        for (std::size_t k = 0; k < count; ++k) {
-            if (!probes || !shadow::BundleQuery::isMixed(sums[k])) {
-                take_(points[k], bundles_.factorsOf(sums[k], probes));
-                continue;
-            }
-            receivers_[waiting_] = receivers[k];
-            points_[waiting_] = points[k];
-            sums_[waiting_++] = sums[k];
-            if (waiting_ == trace::kMostReceivers) finish();
-        }
+        look(0, receivers, points, sums, count);
     }
 
     /// The points that still wait.
     void finish() {
-        if (waiting_ == 0) return;
-        bundles_.look(receivers_, int(waiting_), shadow::BundleQuery::Part::others, sums_,
-                      stats_);
-        for (std::size_t k = 0; k < waiting_; ++k)
-            take_(points_[k], bundles_.factorsOf(sums_[k], false));
-        waiting_ = 0;
+        for (int step = 1; step < bundles_.steps(); ++step)
+            follow(step);
     }
 
   private:
+    /// Points whose next step is the same.
+    struct Waiting {
+        Receiver receivers[trace::kMostReceivers];
+        std::size_t points[trace::kMostReceivers];
+        shadow::BundleQuery::Sums sums[trace::kMostReceivers];
+        std::size_t count = 0;
+    };
+
+    void look(int step, const Receiver* receivers, const std::size_t* points,
+              shadow::BundleQuery::Sums* sums, std::size_t count) {
+        bundles_.look(receivers, int(count), step, sums, stats_);
+        for (std::size_t k = 0; k < count; ++k) {
+            if (step + 1 >= shadow::SampleSteps::kMost ||
+                bundles_.isEnough(sums[k], step))
+                take_(points[k], bundles_.answerOf(sums[k], step));
+            else
+                wait(step + 1, receivers[k], points[k], sums[k]);
+        }
+    }
+
+    void wait(int step, const Receiver& receiver, std::size_t point,
+              const shadow::BundleQuery::Sums& sums) {
+        Waiting& w = waiting_[step];
+        // Those that wait have normals as well, or none has; and are of the same face.
+        if (w.count > 0 &&
+            (shadow::saysSomething(receiver.normal) !=
+                 shadow::saysSomething(w.receivers[0].normal) ||
+             bundles_.faceOf(receiver.point) != bundles_.faceOf(w.receivers[0].point)))
+            follow(step);
+        w.receivers[w.count] = receiver;
+        w.points[w.count] = point;
+        w.sums[w.count++] = sums;
+        if (w.count == trace::kMostReceivers) follow(step);
+    }
+
+    void follow(int step) {
+        Waiting& w = waiting_[step];
+        const std::size_t count = std::exchange(w.count, 0);
+        if (count > 0) look(step, w.receivers, w.points, w.sums, count);
+    }
+
     const shadow::BundleQuery& bundles_;
     QueryStats& stats_;
     const Take& take_;
-    shadow::Receiver receivers_[trace::kMostReceivers];
-    std::size_t points_[trace::kMostReceivers];
-    shadow::BundleQuery::Sums sums_[trace::kMostReceivers];
-    std::size_t waiting_ = 0;
+    Waiting waiting_[shadow::SampleSteps::kMost];  // [step]; of the first nobody does
 };
 
 /// The same, neighbours together.
@@ -141,7 +158,7 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
             std::size_t left = 0;
             for (std::size_t k = 0; k < block.count; ++k) {
                 if (told[k] != Glance::unknown) {
-                    take(indices[k], glm::vec3(told[k] == Glance::lit ? 0.0f : 1.0f));
+                    take(indices[k], bundles.answerOf(told[k]));
                     continue;
                 }
                 receivers[left] = receivers[k];
@@ -163,30 +180,34 @@ template <typename Take>
 void answerBundles(const shadow::Query& query, const ShadowMap& map,
                    const AreaLight& light, const glm::dvec3* points,
                    const glm::dvec3* normals, std::size_t count,
-                   const ShadowOptions& options, QueryStats& stats, const Take& take) {
+                   const ShadowOptions& options, bool errors, QueryStats& stats,
+                   const Take& take) {
     // What a point that is not finite is asked with does not matter.
     const shadow::Receiver only{
         points[0], normals ? shadow::unitNormal(normals[0]) : glm::dvec3(0.0)};
-    const shadow::BundleQuery bundles(map, light, options, count == 1 ? &only : nullptr);
+    const shadow::BundleQuery bundles(map, light, options, errors,
+                                      count == 1 ? &only : nullptr);
     // Orders count in 32 bits.
     constexpr std::size_t kAtOnce = std::size_t(1) << 30;
     for (std::size_t first = 0; first < count; first += kAtOnce) {
-        answerGroups(query, bundles, points + first, normals ? normals + first : nullptr,
-                     std::min(kAtOnce, count - first), stats,
-                     [&](std::size_t i, glm::vec3 factor) { take(first + i, factor); });
+        answerGroups(
+            query, bundles, points + first, normals ? normals + first : nullptr,
+            std::min(kAtOnce, count - first), stats,
+            [&](std::size_t i, const Answer& answer) { take(first + i, answer); });
     }
 }
 
 template <typename Take>
 void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
                const glm::dvec3* normals, std::size_t count, const ShadowOptions& options,
-               QueryStats* stats, const Take& take) noexcept {
+               QueryStats* stats, bool errors, const Take& take) noexcept {
     if (count == 0) return;
-    const shadow::Query query(map, light, options);
+    const shadow::Query query(map, light, options, errors);
     QueryStats met;
     try {
         if (shadow::BundleQuery::serves(map, light, options))
-            answerBundles(query, map, light, points, normals, count, options, met, take);
+            answerBundles(query, map, light, points, normals, count, options, errors, met,
+                          take);
         else
             answerEach(query, points, normals, count, met, take);
     } catch (const std::bad_alloc&) {
@@ -266,6 +287,9 @@ Status checkQuery(const ShadowMap& map, const AreaLight& light,
     if (!(options.threshold >= 0.0f && options.threshold < 1.0f))
         return makeError(ErrorCode::badArgument, "threshold ", options.threshold,
                          " must be in [0, 1)");
+    if (!(options.targetError >= 0.0f && options.targetError <= 1.0f))
+        return makeError(ErrorCode::badArgument, "target error ", options.targetError,
+                         " must be in [0, 1]");
     return lightFits(light, map.info().light);
 }
 
@@ -286,17 +310,22 @@ float shadowFactor(const ShadowMap& map, const AreaLight& light, glm::dvec3 poin
 void shadowFactorsColor(const ShadowMap& map, const AreaLight& light,
                         const glm::dvec3* points, const glm::dvec3* normals,
                         std::size_t count, glm::vec3* out, const ShadowOptions& options,
-                        QueryStats* stats) noexcept {
-    answerAll(map, light, points, normals, count, options, stats,
-              [&](std::size_t i, glm::vec3 factor) { out[i] = factor; });
+                        QueryStats* stats, float* errors) noexcept {
+    answerAll(map, light, points, normals, count, options, stats, errors != nullptr,
+              [&](std::size_t i, const Answer& answer) {
+                  out[i] = answer.factors;
+                  if (errors) errors[i] = answer.error;
+              });
 }
 
 void shadowFactors(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
                    const glm::dvec3* normals, std::size_t count, float* out,
-                   const ShadowOptions& options, QueryStats* stats) noexcept {
-    answerAll(map, light, points, normals, count, options, stats,
-              [&](std::size_t i, glm::vec3 factor) {
-                  out[i] = shadow::mean(factor, map.info().channels);
+                   const ShadowOptions& options, QueryStats* stats,
+                   float* errors) noexcept {
+    answerAll(map, light, points, normals, count, options, stats, errors != nullptr,
+              [&](std::size_t i, const Answer& answer) {
+                  out[i] = shadow::mean(answer.factors, map.info().channels);
+                  if (errors) errors[i] = answer.error;
               });
 }
 

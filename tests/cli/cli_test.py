@@ -71,13 +71,13 @@ OPTIONS = {
     "bake": """--output --light-shape --light-position --light-target --light-direction --light-up
                --light-radius --light-size --light-angle --light-name --projection --fov --near --far
                --resolution --subsamples --bias --cull --layers --tolerance --resets --color
-               --keep-hidden --near-field --rounding --opacity --include --exclude --texture --hair-width --hair-tip-width --hair-opacity
+               --keep-hidden --near-field --rounding --quality --target-error --opacity --include --exclude --texture --hair-width --hair-tip-width --hair-opacity
                --hair-scale --density-grid --density-scale --codec --level --threads --max-memory
                --quiet --json --version --help""",
     "query": """--point --normal --points --rays --position --position-layer --normal-pass
                 --normal-layer --plane --size --no-normal --output --samples --seed --bias --threshold
                 --attenuation --light-shape --light-position --light-radius --light-size --light-angle --method
-                --quantity --weight --threads --max-memory --json --stats --quiet --version --help""",
+                --quantity --weight --adaptive --quality --target-error --error-channel --threads --max-memory --json --stats --quiet --version --help""",
     "dump": """--json --pixel --face --plot --output --image --channel --histogram --validate
                --max-memory --version --help""",
 }
@@ -1160,9 +1160,61 @@ class Query(ToolTest):
             self.assertEqual([list(v) for v in json.loads(done.stdout)["values"]], [[quantity]])
         done = self.good(run("query", "key.mtsm", "--point", "0,0,0", "--stats", "--quiet"))
         self.assertIn("rays per second", done.stderr)
+        self.assertIn("1 point, 64 rays", done.stderr)
+        self.assertIn("expected mean error: 0 of the samples", done.stderr)
+        self.assertIn("to make the map ready", done.stderr)
         many = "x,y,z\n" + "9,0,9\n" * 10001
         self.fails(run("query", "key.mtsm", "--points", "-", "--json", stdin=many), 2, "10 000")
         self.assertEqual(self.good(run("query", "key.mtsm", "--point", "0,0,0")).stderr, "")
+
+    def test_expected_errors_stand_beside_the_factors(self):
+        plane = ["--plane", "-2,0,-2,4,0,0,0,0,4", "--size", "24x24", "--samples", 16]
+        self.good(run("query", "key.mtsm", *plane, "-o", "plain.exr"))
+        self.assertEqual(sorted(read_exr("plain.exr")[2]), ["shadow", "visibility"])
+        self.good(run("query", "key.mtsm", *plane, "--error-channel", "-o", "e.exr"))
+        channels = read_exr("e.exr")[2]
+        self.assertEqual(sorted(channels), ["shadow", "shadow.error", "visibility"])
+        self.assertEqual(channels["shadow"], read_exr("plain.exr")[2]["shadow"])
+        for shadow, error in zip(channels["shadow"], channels["shadow.error"]):
+            self.assertEqual(error > 0, 0 < shadow < 1)
+        rows = self.rows("--point", "0,0,0", "--point", "1.3,0,0", "--error-channel")
+        self.assertEqual(rows[0]["error"], 0)
+        self.assertGreater(rows[1]["error"], 0)
+        done = self.good(run("query", "key.mtsm", "--point", "1.3,0,0", "--error-channel", "--json"))
+        self.assertGreater(json.loads(done.stdout)["values"][0]["error"], 0)
+        self.fails(run("query", "key.mtsm", *plane, "--error-channel", "-o", "e.png"), 2, "--error-channel", ".exr")
+        self.fails(run("query", "key.mtsm", "--point", "0,0,0", "--samples", 3, "--error-channel"), 2, "4 samples")
+
+    def test_settings_by_the_error_that_is_asked_for(self):
+        done = self.good(run("bake", "scene.obj", "--exclude", "floor", *LIGHT, "--target-error", 0.01, "-o", "q.mtsm", "--json"))
+        self.assertIn("for a mean error of 0.01", done.stderr)
+        j = json.loads(done.stdout)
+        self.assertEqual((j["width"], j["nearField"]["kept"]), (512, True))
+        self.assertAlmostEqual(j["quality"]["targetError"], 0.01)
+        self.assertLess(j["quality"]["mapError"], 0.01)
+        done = self.good(run("bake", "scene.obj", "--exclude", "floor", *LIGHT, "--quality", "final", "--resolution", 64, "-o", "q.mtsm"))
+        self.assertIn("rasterised 64 x 64", done.stderr)
+        self.assertNotIn("--resolution 1024", done.stderr)
+        plane = ["--plane", "-2,0,-2,4,0,0,0,0,4", "--size", "64x64", "--json", "-o", "e.exr"]
+        rays = []
+        for error in (0.05, 0.002):
+            done = self.good(run("query", "q.mtsm", *plane, "--target-error", error))
+            self.assertIn("for a mean error of", done.stderr)
+            j = json.loads(done.stdout)
+            self.assertLess(j["sampleError"], error)
+            rays.append(j["rays"])
+        self.assertLess(rays[0], rays[1])
+        self.fails(run("query", "q.mtsm", *plane, "--target-error", 2), 2, "--target-error")
+        self.fails(run("query", "q.mtsm", *plane, "--quality", "best"), 2, "draft")
+        self.fails(run("query", "q.mtsm", *plane, "--quality", "draft", "--method", "pcf"), 2, "--method trace")
+        self.fails(run("bake", "scene.obj", *LIGHT, "--quality", "draft", "--target-error", 0.1, "-o", "q.mtsm"), 2, "--quality")
+
+    def test_a_normal_or_a_ray_without_direction_is_told(self):
+        self.fails(run("query", "key.mtsm", "--point", "0,0,0", "--normal", "0,0,0"), 2, "--normal", "direction")
+        done = self.good(run("query", "key.mtsm", "--points", "-", stdin="x,y,z,nx,ny,nz\n0,0,0,0,1,0\n0,0,0,0,0,0\n"))
+        self.assertIn("1 point has a normal of no length", done.stderr)
+        done = self.good(run("query", "key.mtsm", "--rays", "-", stdin="ox,oy,oz,dx,dy,dz\n0,0,0,0,1,0\n0,0,0,0,0,0\n"))
+        self.assertIn("1 ray has no direction", done.stderr)
 
     def test_a_map_with_three_channels_answers_in_colour(self):
         path = GOLDEN / "three_channels.mtsm"

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <catch2/catch.hpp>
 #include <cmath>
+#include <cstdlib>
 #include <cstring>
 #include <glm/geometric.hpp>
 #include <numeric>
@@ -14,6 +15,7 @@
 
 #include "bumpy_mesh.h"
 #include "mtsm/bake.h"
+#include "mtsm/scene.h"
 #include "mtsm/shadow.h"
 
 using namespace mtsm;
@@ -291,4 +293,45 @@ TEST_CASE("a point far outside the view is answered as by the scalar trace",
             }
         }
     }
+}
+
+TEST_CASE("a near field does not darken what a far light shines on", "[shadow][data]") {
+    // Floats tell heights above a receiver apart to 1/50 of a pixel there, and these
+    // triangles are smaller than a pixel: were they to count from as low as where the
+    // light is close, every fifth of these points would be dark.
+    const char* folder = std::getenv("MTSM_TEST_DATA");
+    if (!folder) return;
+    BakeOptions options;
+    options.light = lightOf(LightShape::disk);
+    options.light.position = {50, 300, 100};
+    options.light.radius = 10;
+    options.nearField = kAutomaticNearField;
+    MeshFiles casters({std::string(folder) + "/meshes/dragon_348k.ply"});
+    Points points;
+    Random random(4);
+    const Status read = casters.visit(meshesOnly([&](const MeshView& mesh) -> Status {
+        for (int i = 0; i < 2000; ++i) {
+            const std::size_t t = 3 * random.below(mesh.triangleCount);
+            const auto corner = [&](std::size_t k) {
+                return glm::dvec3(mesh.positions[mesh.indices[t + k]]);
+            };
+            const glm::dvec3 a = corner(0), b = corner(1), c = corner(2);
+            points.add((a + b + c) / 3.0, glm::cross(b - a, c - a));
+        }
+        return {};
+    }));
+    REQUIRE(read);
+    const auto baked = bake(casters, options);
+    REQUIRE(baked);
+    REQUIRE_FALSE(baked->map.nearField(0).empty());
+    std::vector<float> found(points.size()), expected(points.size());
+    ShadowOptions query = samplesOf(16);
+    const auto ask = [&](std::vector<float>& out) {
+        shadowFactors(baked->map, options.light, points.at.data(), points.normal.data(),
+                      points.size(), out.data(), query);
+    };
+    ask(found);
+    query.method = ShadowMethod::scalar;
+    ask(expected);
+    CHECK(meanOf(found) == Approx(meanOf(expected)).margin(0.02));
 }

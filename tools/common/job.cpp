@@ -97,6 +97,8 @@ constexpr Key kKeys[] = {
     {"map", "keep-hidden", Form::flag},
     {"map", "near-field", Form::nearField},
     {"map", "rounding", Form::number},
+    {"map", "quality", Form::text},
+    {"map", "target-error", Form::number},
     {"map", "codec", Form::text},
     {"map", "level", Form::whole},
 

@@ -148,6 +148,10 @@ std::string bytesText(std::uint64_t bytes) {
     return format(unit == 0 ? "%.0f" : "%.3g", value) + " " + kUnits[unit];
 }
 
+std::string counted(std::uint64_t count, const char* one, const char* many) {
+    return countText(count) + " " + (count == 1 ? one : many);
+}
+
 std::string countText(std::uint64_t count) {
     std::string digits = std::to_string(count);
     for (std::size_t at = digits.size(); at > 3; at -= 3)

@@ -61,9 +61,11 @@ void print(const std::string& text);
 // Numbers as people read them.
 [[nodiscard]] std::string bytesText(std::uint64_t bytes);  ///< "4.21 MB"
 [[nodiscard]] std::string countText(std::uint64_t count);  ///< "1 234 567"
-[[nodiscard]] std::string secondsText(double seconds);     ///< "0.41 s"
-[[nodiscard]] std::string numberText(double value);        ///< shortest, up to 9 digits
-[[nodiscard]] std::string shortText(float value);          ///< shortest, up to 6 digits
+/// "1 mesh", "2 meshes"
+[[nodiscard]] std::string counted(std::uint64_t count, const char* one, const char* many);
+[[nodiscard]] std::string secondsText(double seconds);  ///< "0.41 s"
+[[nodiscard]] std::string numberText(double value);     ///< shortest, up to 9 digits
+[[nodiscard]] std::string shortText(float value);       ///< shortest, up to 6 digits
 [[nodiscard]] std::string tripleText(const glm::dvec3& value);  ///< "1, 2, 3"
 
 /// A light as --json prints it: only what its shape uses, angles in degrees.

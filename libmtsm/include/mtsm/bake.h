@@ -20,6 +20,7 @@
 
 #include "mtsm/light.h"
 #include "mtsm/map.h"
+#include "mtsm/quality.h"
 #include "mtsm/result.h"
 #include "mtsm/scene.h"
 
@@ -128,5 +129,9 @@ struct Baked {
 /// cancelled, and what the source's visit() returns. Casters that leave no usable
 /// triangle are a badFile error.
 Result<Baked> bake(CasterSource& casters, const BakeOptions& options);
+
+/// What decides how large a map has to be (mapSettingsFor() in mtsm/quality.h). Visits
+/// the casters once; errors are the source's.
+Result<CasterMeasures> measureCasters(CasterSource& casters);
 
 }  // namespace mtsm

@@ -97,10 +97,16 @@ struct ShadowOptions {
     ShadowMethod method = ShadowMethod::trace;
     Weight weight = Weight::uniform;  ///< cosine needs normals
     Attenuation attenuation = Attenuation::multiply;
-    /// Points of which the first 16 samples see the same take no more: most are lit or
-    /// dark. Only of ShadowMethod::trace; half-shadows thinner than a 16th of the light
-    /// may be missed.
+    /// Points of which the first samples see the same take no more: most are lit or dark.
+    /// Only of ShadowMethod::trace; what blocks less of the light than a sample stands
+    /// for may be missed.
     bool adaptive = false;
+    /// Above 0: a point takes samples, four times as many each time, until their expected
+    /// error is no larger than this, or until it has taken `samples`. Only of
+    /// ShadowMethod::trace; planQueries() (mtsm/quality.h) finds a value for a mean over
+    /// many points.
+    float targetError = 0.0f;
+    int firstSamples = 16;  ///< of those two: that every point takes, in groups of 16
 };
 
 inline constexpr int kMaxSamples = 4096;
@@ -145,17 +151,22 @@ struct QueryStats {
                                           const ShadowOptions& options = {}) noexcept;
 
 /// The same for `count` points: out[i] for points[i] and normals[i] (normals may be
-/// null). Runs in the caller's oneTBB arena; `stats` may be null.
+/// null). Runs in the caller's oneTBB arena; `stats` may be null. `errors`, if not null,
+/// gets how far each factor (the mean of the channels) is expected to be from what
+/// infinitely many samples of the map would give: the mean of |found - true| at points
+/// like this one, told from how neighbouring samples differ. It is 0 where all samples
+/// see the same and for point lights, NaN with fewer than 4 samples, and says nothing of
+/// the map's own error. Of ShadowMethod::pcf it is the noise of the filter's samples.
 void shadowFactors(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
                    const glm::dvec3* normals, std::size_t count, float* out,
-                   const ShadowOptions& options = {},
-                   QueryStats* stats = nullptr) noexcept;
+                   const ShadowOptions& options = {}, QueryStats* stats = nullptr,
+                   float* errors = nullptr) noexcept;
 
 void shadowFactorsColor(const ShadowMap& map, const AreaLight& light,
                         const glm::dvec3* points, const glm::dvec3* normals,
                         std::size_t count, glm::vec3* out,
-                        const ShadowOptions& options = {},
-                        QueryStats* stats = nullptr) noexcept;
+                        const ShadowOptions& options = {}, QueryStats* stats = nullptr,
+                        float* errors = nullptr) noexcept;
 
 /// A shadow ray: from `origin`, `length` along the unit vector `direction`, or without
 /// end if length is infinite.

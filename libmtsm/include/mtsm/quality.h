@@ -1,0 +1,91 @@
+// quality.h - settings of bakes and queries by what is needed: a mean error.
+//
+//     mtsm::MapSettings s = mtsm::mapSettingsFor(casters,
+//     mtsm::meanError(Quality::final));
+//     ...                                                     // bake.h: measureCasters()
+//     mtsm::QueryPlan plan = mtsm::planQueries(map, light, points, normals, count,
+//     0.005f); mtsm::shadowFactors(map, light, points, normals, count, out,
+//     plan.options);
+//
+// An error here is the mean of |shadow factor - true one| over the points that are asked
+// for, of a picture say: lit and dark ones count. Half of it is for the map and half for
+// the light's samples; what the map does not use, samples may. What maps of a kind and a
+// size have was measured (tests/bench/NOTES.md), as the worse ones of several scenes had
+// it; what samples have is measured anew for every batch, on some of its points.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+#include <glm/vec3.hpp>
+
+#include "mtsm/light.h"
+#include "mtsm/map.h"
+#include "mtsm/shadow.h"
+
+namespace mtsm {
+
+enum class Quality {
+    draft,    ///< .02: where shadows fall
+    preview,  ///< .005: noise that one has to look for
+    final     ///< .001: a third of what the method's paper reports [Xie07, table 1]
+};
+
+[[nodiscard]] float meanError(Quality quality) noexcept;
+
+/// What decides how large a map has to be.
+struct CasterMeasures {
+    bool letThrough = false;      ///< surfaces with opacities below 1 or alpha textures
+    std::uint64_t triangles = 0;  ///< that can cast
+    std::uint64_t strands = 0, volumes = 0;
+};
+
+/// How a map tells what is close to a receiver, from the most exact.
+enum class MapKind {
+    nearField,  ///< opaque triangles, kept beside the layers
+    volume,     ///< fog, which has no edges
+    sheets,     ///< surfaces that let light through
+    surfaces,   ///< opaque ones, by their layers alone
+    hair
+};
+[[nodiscard]] MapKind kindOf(const ShadowMap& map) noexcept;
+
+/// The mean error that a map with `resolution` pixels a side is expected to bring into a
+/// picture that its casters fill.
+[[nodiscard]] float mapError(MapKind kind, std::uint32_t resolution) noexcept;
+/// Of this map.
+[[nodiscard]] float mapError(const ShadowMap& map) noexcept;
+
+/// What to bake, and what it will come to.
+struct MapSettings {
+    std::uint32_t resolution = 1024;  ///< pixels a side
+    float tolerance = 0.005f;         ///< BakeOptions::tolerance
+    std::uint64_t nearField = 0;      ///< BakeOptions::nearField, bytes
+    MapKind kind = MapKind::surfaces;
+    float error = 0.0f;   ///< mapError() of it
+    bool reached = true;  ///< is that as little as was asked for?
+};
+
+/// The smallest map that leaves samples a part of `meanError`; if there is none, the
+/// largest that was found to be of use: 4096 of opaque casters without a near field, else
+/// 2048.
+[[nodiscard]] MapSettings mapSettingsFor(const CasterMeasures& casters,
+                                         float meanError) noexcept;
+
+/// How a batch is to be asked.
+struct QueryPlan {
+    ShadowOptions options;
+    float mapError = 0.0f;     ///< expected, of the map
+    float sampleError = 0.0f;  ///< expected mean over the points with these options
+    /// Together they are no more than was asked for.
+    bool reached = true;
+};
+
+/// The cheapest options with which the mean error over these points is expected to be
+/// `meanError`, at most options.samples at a point. Asks for 512 to 1024 of the points,
+/// spread over the batch, with 16 and with 64 samples; the other options are taken as
+/// they are. `normals` may be null.
+[[nodiscard]] QueryPlan planQueries(const ShadowMap& map, const AreaLight& light,
+                                    const glm::dvec3* points, const glm::dvec3* normals,
+                                    std::size_t count, float meanError,
+                                    const ShadowOptions& options) noexcept;
+
+}  // namespace mtsm
