@@ -33,7 +33,7 @@ constexpr double kHairMost = 256.0, kHairLeast = 2.0;
 constexpr double kHairStart = 0.4;
 
 /// The same beside sheets, which are few.
-constexpr double kSheetWidth = 14.0;
+constexpr double kSheetWidth = 8.0;
 constexpr double kSheetMost = 1e6, kSheetLeast = 8.0;
 /// Texels may then be so much coarser: what one blurs is far from the receiver.
 constexpr float kSheetSpread = 2.0f;

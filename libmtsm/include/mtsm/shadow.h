@@ -32,7 +32,7 @@
 // steeper ones let some of the light through. Where the map has a near field
 // (mtsm/near_field.h), what lies within 32 pixel footprints of depth above the receiver
 // is met exactly; beside strands (maps of one face) up to where the light, seen through
-// the receiver, is two pixels wide, and of sheets (mtsm/near_sheets.h) up to 14 pixels.
+// the receiver, is two pixels wide, and of sheets (mtsm/near_sheets.h) up to 8 pixels.
 // Strands on which a receiver lies do not darken it where it lies. Visibility of media
 // and sheets is kept to .0004. Of six faces each is followed by itself, sheets at the
 // border between two by both. Attenuation::subtract, maps of more than 2^28 layers, and
