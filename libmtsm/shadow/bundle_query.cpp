@@ -549,7 +549,7 @@ static float highestOf(const NearSheets& sheets) {
 
 /// Does nothing lie between those that have all of the light above them and it?
 bool BundleQuery::isFree(const Face& face, const Outlook& starts) const noexcept {
-    std::optional<trace::RayHull> hull = face.outline.hull(starts, samples_);
+    std::optional<trace::RayHull> hull = face.outline.hull(starts, steps_.end[0]);
     if (!hull) return false;
     if (face.near) {
         const bool perspective = face.projection.kind == ProjectionKind::perspective;
