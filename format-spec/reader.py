@@ -293,7 +293,7 @@ MAGIC = b"\x89MTSM\r\n\x1a"
 FINISHED = b"MTSM END"
 HEADER = 32  # bytes of a block header
 TRAILER = 32
-KNOWN = {b"HEAD": 1, b"ATTR": 0, b"NEAR": 0, b"HAIR": 0, b"HIER": 1, b"TOTL": 1}  # flags
+KNOWN = {b"HEAD": 1, b"ATTR": 0, b"NEAR": 0, b"HAIR": 0, b"CARD": 0, b"HIER": 1, b"TOTL": 1}  # flags
 MAX_SIDE = 32768
 MAX_PIXEL_LAYERS = 1 << 20
 MAX_DIRECTORY = 65536
@@ -415,7 +415,7 @@ class File:
         kinds = [entry[0] for entry in self.directory]
         for kind in (b"HEAD", b"HIER", b"TOTL"):
             need(kinds.count(kind) == 1, "index: not one block %r" % kind)
-        for kind in (b"ATTR", b"NEAR", b"HAIR"):
+        for kind in (b"ATTR", b"NEAR", b"HAIR", b"CARD"):
             need(kinds.count(kind) <= 1, "index: more than one block %r" % kind)
         need(kinds[0] == b"HEAD" and self.directory[0][2] == 64,
              "index: block HEAD is not the first")
@@ -448,10 +448,12 @@ class File:
     def read_directory(self):
         readers = {b"HEAD": self.read_head, b"ATTR": self.read_attributes,
                    b"TOTL": self.read_totals, b"HIER": self.read_hierarchy,
-                   b"NEAR": self.read_near, b"HAIR": self.read_hair}
+                   b"NEAR": self.read_near, b"HAIR": self.read_hair,
+                   b"CARD": self.read_cards}
         self.out["attributes"] = []
         self.out["nearField"] = [[] for _ in range(self.faces)]
         self.out["nearHair"] = [[] for _ in range(self.faces)]
+        self.out["nearSheets"] = None
         for kind, flags, offset, length, payload_checksum in self.directory:
             name = "block %s" % kind.decode("latin-1")
             payload = self.block(name, kind, flags, offset, length, payload_checksum)
@@ -588,6 +590,59 @@ class File:
                                                 lambda _, points: points == 0):
             most = 0.5 if faces[face]["kind"] == 0 else math.inf
             self.out["nearHair"][face] += self.read_hair_part(part, n, most)
+
+    # S 7.4
+    def read_cards(self, c):
+        need(self.faces == 1 and self.channels == 1 and self.out["visibilityRule"] == 0,
+             "%s: not a map of sheets with one face and one channel" % c.what)
+        count = c.fields("I")
+        records = [c.fields("IIIIffQ") for _ in range(count)]
+        textures = []
+        for i, (w, h, wrap_u, wrap_v, cutoff, opacity, stored) in enumerate(records):
+            what = "%s, texture %d" % (c.what, i)
+            need(1 <= w <= 16384 and 1 <= h <= 16384 and wrap_u <= 2 and wrap_v <= 2,
+                 "%s: %d x %d texels, wraps %d and %d" % (what, w, h, wrap_u, wrap_v))
+            need(math.isfinite(cutoff) and 0 <= opacity <= 1,
+                 "%s: cutoff %r, opacity %r" % (what, cutoff, opacity))
+            need(1 <= stored <= w * h, "%s: stores %d bytes" % (what, stored))
+            need(w * h <= self.max_bytes, "larger textures than --max-bytes allows")
+            textures.append(dict(width=w, height=h, wrap=(wrap_u, wrap_v), cutoff=cutoff,
+                                 opacity=opacity))
+        for texture, record in zip(textures, records):
+            data, size = c.bytes(record[6]), record[0] * record[1]
+            texture["texels"] = list(data if len(data) == size else decompress(data, size))
+        triangles = []
+        inner = Cursor(c.bytes(c.fields("Q")), c.what + ", triangles")
+        for _, part, n, points in self.near_parts(inner, 312, lambda n, p: 72 * n + 6 * p,
+                                                  lambda n, p: n <= p <= 48 * n):
+            triangles += self.read_near_part(part, n, points)
+        chunks = []
+        for _, part, n, _ in self.near_parts(c, 216, lambda n, _: 216 * n,
+                                             lambda _, points: points == 0):
+            chunks += self.read_card_part(part, n, count)
+        need(len(chunks) == len(triangles), "%s: %d chunks of coordinates for %d of triangles"
+             % (c.what, len(chunks), len(triangles)))
+        self.out["nearSheets"] = dict(textures=textures, triangles=triangles, chunks=chunks)
+
+    @classmethod
+    def read_card_part(cls, part, n, textures):
+        """A list of chunks, each texture, triangles, low, step and q as [corner][axis][triangle]."""
+        words = cls.shuffled(part, 6 * n, "I")
+        coordinates = cls.shuffled(part, 96 * n, "H")
+        part.end()
+        chunks = []
+        for k in range(n):
+            word = words[k::n]
+            low = struct.unpack("<2f", struct.pack("<2I", *word[2:4]))
+            step = struct.unpack("<2f", struct.pack("<2I", *word[4:6]))
+            need(word[0] < textures and 1 <= word[1] <= 16, "%s: chunk %d: texture %d, %d triangles"
+                 % (part.what, k, word[0], word[1]))
+            cls.check_grid(part, k, low, step)
+            q = coordinates[96 * k:96 * k + 96]
+            chunks.append(dict(texture=word[0], triangles=word[1], low=low, step=step,
+                               q=[[list(q[32 * corner + 16 * axis:32 * corner + 16 * axis + 16])
+                                   for axis in range(2)] for corner in range(3)]))
+        return chunks
 
     def near_parts(self, c, memory, size_of, may_have):
         """Yields (face, content, chunks, points) of each part."""

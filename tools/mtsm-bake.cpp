@@ -216,8 +216,8 @@ void addLayerOptions(CLI::App& app, Arguments& a) {
                "keep triangles and strands themselves as well, for\n"
                "exact shadows next to what casts them, if they take\n"
                "at most SIZE in memory: 32M; auto: 64M (default:\n"
-               "auto); only of casters that are all opaque triangles\n"
-               "and strands of hair")
+               "auto); of casters that are all opaque triangles and\n"
+               "strands of hair, or all triangles of any opacity")
         ->group(group);
     addNumber(app, "--rounding", a.rounding, {0.0, 1.0}, "S",
               "depths may be off by this share of the z threshold,\n"

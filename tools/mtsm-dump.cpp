@@ -166,6 +166,7 @@ ordered_json summaryJson(const Arguments& a, const Description& d, const ShadowM
     j["translucentTiles"] = translucentTiles(d);
     j["nearField"] = {{"triangles", d.nearTriangles},
                       {"segments", d.nearSegments},
+                      {"textures", d.nearTextures},
                       {"chunks", d.nearChunks},
                       {"memoryBytes", d.nearBytes}};
     j["memoryBytes"] = map.memoryBytes();
@@ -291,12 +292,15 @@ void byteRows(Rows& rows, const ShadowMap& map, const Description& d) {
                            : ""));
     rows.row("in memory", bytesText(map.memoryBytes()));
     if (d.nearChunks)
-        rows.row("near field",
-                 (d.nearTriangles ? counted(d.nearTriangles, "triangle") : "") +
-                     (d.nearTriangles && d.nearSegments ? " and " : "") +
-                     (d.nearSegments ? counted(d.nearSegments, "segment") : "") + " in " +
-                     counted(d.nearChunks, "chunk") + ", " + bytesText(d.nearBytes) +
-                     " in memory");
+        rows.row(
+            "near field",
+            (d.nearTriangles ? counted(d.nearTriangles, "triangle") : "") +
+                (d.nearTriangles && d.nearSegments ? " and " : "") +
+                (d.nearSegments ? counted(d.nearSegments, "segment") : "") +
+                (d.nearTextures ? " with " + counted(d.nearTextures, "opacity texture")
+                                : "") +
+                " in " + counted(d.nearChunks, "chunk") + ", " + bytesText(d.nearBytes) +
+                " in memory");
     for (const Description::Plane& p : d.planes) {
         if (p.planes)
             rows.row("plane " + p.name, share(p.storedBytes, d.fileBytes, bytesText) +

@@ -250,23 +250,38 @@ NearHairChunk chunkOf(const Run<Segment>& segments, const Footprints& footprints
     return chunk;
 }
 
+/// `places`, if not null: which item each place of the chunks holds.
 template <typename Chunk, typename Item>
-std::vector<Chunk> pack(const std::vector<Item>& items, const Projection& projection) {
+std::vector<Chunk> pack(const std::vector<Item>& items, const Projection& projection,
+                        std::vector<std::uint32_t>* places = nullptr) {
     const Footprints footprints(projection);
     const std::vector<Entry> order = sorted(items, footprints);
     const std::vector<std::size_t> begins = cut(items, order, footprints);
     std::vector<Chunk> chunks(begins.size() - 1);
-    base::parallelRanges(
-        std::size_t(0), chunks.size(), kPerTask / 16, [&](auto first, auto last) {
-            for (std::size_t i = first; i < last; ++i)
-                chunks[i] = chunkOf(
-                    Run<Item>{items, order.data() + begins[i], begins[i + 1] - begins[i]},
-                    footprints);
-        });
+    constexpr std::size_t kPlaces = NearChunk::kTriangles;
+    if (places) places->resize(kPlaces * chunks.size());
+    base::parallelRanges(std::size_t(0), chunks.size(), kPerTask / 16,
+                         [&](auto first, auto last) {
+                             for (std::size_t i = first; i < last; ++i) {
+                                 const Run<Item> run{items, order.data() + begins[i],
+                                                     begins[i + 1] - begins[i]};
+                                 chunks[i] = chunkOf(run, footprints);
+                                 for (std::size_t k = 0; places && k < kPlaces; ++k)
+                                     (*places)[kPlaces * i + k] =
+                                         run.entries[std::min(k, run.count - 1)].item;
+                             }
+                         });
     return chunks;
 }
 
 }  // namespace
+
+NearPacking packTriangles(const std::vector<NearTriangle>& triangles,
+                          const Projection& projection) {
+    NearPacking packing;
+    packing.field.chunks = pack<NearChunk>(triangles, projection, &packing.triangle);
+    return packing;
+}
 
 NearField packNear(const std::vector<NearTriangle>& triangles,
                    const Projection& projection) {

@@ -22,7 +22,16 @@
 
 namespace mtsm::bake_detail {
 
-/// The same for any order of triangles and any number of threads. Time grows as n log n.
+/// Chunks, and which triangle each place in them holds: [chunks][16].
+struct NearPacking {
+    NearField field;
+    std::vector<std::uint32_t> triangle;
+};
+
+/// The same for any order of triangles (that differ) and any number of threads. Time
+/// grows as n log n.
+NearPacking packTriangles(const std::vector<NearTriangle>& triangles,
+                          const Projection& projection);
 NearField packNear(const std::vector<NearTriangle>& triangles,
                    const Projection& projection);
 NearHair packNear(const std::vector<NearSegment>& segments, const Projection& projection);

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "bake/near_chunks.h"
+#include "bake/near_sheets.h"
 #include "base/message.h"
 
 namespace mtsm::bake_detail {
@@ -19,9 +20,10 @@ std::uint64_t bytesOf(std::uint64_t triangles, std::uint64_t segments) {
     return nearFieldBytes(chunks(triangles)) + nearHairBytes(chunks(segments));
 }
 
-/// What would hold it, in whole megabytes.
-std::string tooSmall(std::uint64_t needed, const BakeOptions& options,
-                     std::uint64_t budget) {
+}  // namespace
+
+std::string nearFieldTooSmall(std::uint64_t needed, const BakeOptions& options,
+                              std::uint64_t budget) {
     const std::uint64_t size = (needed + kMega - 1) / kMega;
     if (budget < options.nearField)
         return base::concat("it takes about ", size, "M, more than a quarter of the ",
@@ -29,6 +31,8 @@ std::string tooSmall(std::uint64_t needed, const BakeOptions& options,
     return base::concat("it takes about ", size, "M: --near-field ", size,
                         "M would hold it");
 }
+
+namespace {
 
 /// All of a face.
 struct Found {
@@ -68,9 +72,11 @@ Status bakeNearField(Visits& visits, const BakeOptions& options, const CasterKin
                      std::uint64_t bytesLeft, std::vector<MapFace>& faces,
                      BakeReport& report) {
     if (options.nearField == 0) return {};
+    if (kinds.translucent && !kinds.media)
+        return bakeNearSheets(visits, options, bytesLeft, faces, report);
     const WorkClock clock(visits);
     const std::uint64_t budget = std::min(options.nearField, bytesLeft / 4);
-    bool others = kinds.translucent && !kinds.media, counted = false;
+    bool others = false, counted = false;
     std::uint64_t bytes = 0;
     for (std::size_t i = 0; i < faces.size() && !others; ++i) {
         MapFace& face = faces[i];
@@ -91,13 +97,13 @@ Status bakeNearField(Visits& visits, const BakeOptions& options, const CasterKin
     if (others) {
         report.nearTriangles = report.nearSegments = 0;
         report.noNearField =
-            "only casters that are all opaque triangles and strands have one, without "
-            "alpha textures, meshes of opacity below 1 and volumes";
+            "only casters that are all opaque triangles and strands, or all triangles, "
+            "have one: no volumes, and no hair beside meshes that let light through";
     } else {
         report.nearBytes =
             counted ? bytesOf(report.nearTriangles, report.nearSegments) : bytes;
         if (report.nearBytes > budget)
-            report.noNearField = tooSmall(report.nearBytes, options, budget);
+            report.noNearField = nearFieldTooSmall(report.nearBytes, options, budget);
     }
     if (!report.noNearField.empty()) {
         for (MapFace& face : faces) {

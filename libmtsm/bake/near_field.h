@@ -1,5 +1,6 @@
 // near_field.h - the near field of a map, if it may have one and fits.
 #pragma once
+#include <string>
 #include <vector>
 
 #include "bake/face.h"
@@ -11,5 +12,10 @@ namespace mtsm::bake_detail {
 Status bakeNearField(Visits& visits, const BakeOptions& options, const CasterKinds& kinds,
                      std::uint64_t bytesLeft, std::vector<MapFace>& faces,
                      BakeReport& report);
+
+/// What would hold it, in whole megabytes: why there is none.
+[[nodiscard]] std::string nearFieldTooSmall(std::uint64_t needed,
+                                            const BakeOptions& options,
+                                            std::uint64_t budget);
 
 }  // namespace mtsm::bake_detail

@@ -160,40 +160,53 @@ void StraightSpace::addFan(const Polygon& polygon, std::vector<NearTriangle>& ou
     }
 }
 
-/// What is left of one task's triangles.
+/// What is left of one task's triangles, and of which of the mesh each is.
+struct Part {
+    std::vector<NearTriangle> triangles;
+    std::vector<std::uint32_t> sources;
+};
+
 void collectChunk(const MeshView& mesh, std::size_t first, std::size_t count,
                   const raster::LightFromObject& lightFromObject,
-                  const StraightSpace& space, std::vector<NearTriangle>& out) {
+                  const StraightSpace& space, Part& out) {
     const raster::MeshChunk chunk(mesh, first, count);
     const bool mirrored = raster::mirrors(mesh.worldFromObject);
     const double origin2 = glm::dot(lightFromObject.origin, lightFromObject.origin);
     std::vector<glm::dvec3> light(chunk.vertices());
     for (std::size_t i = 0; i < light.size(); ++i)
         light[i] = lightFromObject(chunk.position(i));
-    for (std::size_t i = 0; i < 3 * count; i += 3)
-        space.add({light[chunk.corner(i)], light[chunk.corner(i + 1)],
-                   light[chunk.corner(i + 2)]},
-                  mirrored, origin2, out);
+    for (std::size_t i = 0; i < count; ++i) {
+        space.add({light[chunk.corner(3 * i)], light[chunk.corner(3 * i + 1)],
+                   light[chunk.corner(3 * i + 2)]},
+                  mirrored, origin2, out.triangles);
+        out.sources.resize(out.triangles.size(), std::uint32_t(first + i));
+    }
 }
 
 }  // namespace
 
 void collectMesh(const MeshView& mesh, const Projection& projection,
-                 const BakeOptions& options, std::uint64_t most, NearTriangles& all) {
+                 const BakeOptions& options, std::uint64_t most, NearTriangles& all,
+                 std::vector<std::uint32_t>* sources) {
     const StraightSpace space(projection, options);
     const raster::LightFromObject lightFromObject(projection, mesh.worldFromObject);
     const std::size_t chunks = (mesh.triangleCount + kChunk - 1) / kChunk;
-    std::vector<std::vector<NearTriangle>> parts(std::min(chunks, kBatch));
+    std::vector<Part> parts(std::min(chunks, kBatch));
     for (std::size_t batch = 0; batch < chunks; batch += kBatch) {
         const std::size_t tasks = std::min(kBatch, chunks - batch);
         base::parallelFor(std::size_t(0), tasks, [&](std::size_t i) {
-            parts[i].clear();
+            parts[i].triangles.clear();
+            parts[i].sources.clear();
             const std::size_t first = (batch + i) * kChunk;
             collectChunk(mesh, first, std::min(kChunk, mesh.triangleCount - first),
                          lightFromObject, space, parts[i]);
         });
-        for (std::size_t i = 0; i < tasks; ++i)
-            all.add(parts[i], most);
+        for (std::size_t i = 0; i < tasks; ++i) {
+            all.add(parts[i].triangles, most);
+            if (sources && all.count <= most)
+                sources->insert(sources->end(), parts[i].sources.begin(),
+                                parts[i].sources.end());
+        }
     }
 }
 

@@ -44,8 +44,10 @@ struct NearItems {
 using NearTriangles = NearItems<NearTriangle>;
 
 /// Appends those of a caster, which is opaque, while there are no more than `most`. In
-/// the order of the caster's, for any number of threads.
+/// the order of the caster's, for any number of threads. `sources`, if not null, gets
+/// which of the mesh's triangles each is (of).
 void collectMesh(const MeshView& mesh, const Projection& projection,
-                 const BakeOptions& options, std::uint64_t most, NearTriangles& all);
+                 const BakeOptions& options, std::uint64_t most, NearTriangles& all,
+                 std::vector<std::uint32_t>* sources = nullptr);
 
 }  // namespace mtsm::bake_detail

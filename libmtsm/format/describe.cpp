@@ -102,6 +102,12 @@ void describeNearField(const ShadowMap& map, Description& d) {
         d.nearSegments += hair.segments();
         d.nearChunks += hair.chunks.size();
         d.nearBytes += nearHairBytes(hair.chunks.size());
+        const NearSheets& sheets = map.nearSheets(face);
+        for (const NearSheetChunk& chunk : sheets.chunks)
+            d.nearTriangles += chunk.triangles;
+        d.nearTextures += sheets.textures.size();
+        d.nearChunks += sheets.chunks.size();
+        d.nearBytes += mtsm::memoryBytes(sheets);
     }
 }
 

@@ -247,7 +247,7 @@ Status checkDirectory(const Index& index, const Prefix& prefix, std::uint64_t in
         if (named(type) != 1)
             return bad(named(type), " blocks ", text(type), ", there must be one");
     }
-    for (BlockType type : {kAttr, kNear, kHair}) {
+    for (BlockType type : {kAttr, kNear, kHair, kCard}) {
         if (named(type) > 1)
             return bad(named(type), " blocks ", text(type), ", there may be one");
     }

@@ -1,6 +1,6 @@
 // layout.h - every field, constant and limit of the MTSM file format 1.0, and no logic.
 //
-//     prefix | HEAD [ATTR] TILE... [NEAR] [HAIR] HIER TOTL INDX | trailer
+//     prefix | HEAD [ATTR] TILE... [NEAR] [HAIR] [CARD] HIER TOTL INDX | trailer
 //
 // What the fields mean and what a reader checks is said in format-spec/mtsm-format.md;
 // the names here are the names there. All numbers are little-endian, all floats IEEE 754.
@@ -62,12 +62,13 @@ inline constexpr BlockType kAttr = {'A', 'T', 'T', 'R'};  ///< free attributes
 inline constexpr BlockType kTile = {'T', 'I', 'L', 'E'};  ///< the layers of one tile
 inline constexpr BlockType kNear = {'N', 'E', 'A', 'R'};  ///< triangles beside the layers
 inline constexpr BlockType kHair = {'H', 'A', 'I', 'R'};  ///< strands beside the layers
+inline constexpr BlockType kCard = {'C', 'A', 'R', 'D'};  ///< sheets beside the layers
 inline constexpr BlockType kHier = {'H', 'I', 'E', 'R'};  ///< min/max z above the tiles
 inline constexpr BlockType kTotl = {'T', 'O', 'T', 'L'};  ///< what is known at the end
 inline constexpr BlockType kIndx = {'I', 'N', 'D', 'X'};  ///< where everything lies
 
 constexpr bool isOfNearField(BlockType type) {
-    return type == kNear || type == kHair;
+    return type == kNear || type == kHair || type == kCard;
 }
 
 inline constexpr std::uint32_t kCritical = 1;  ///< BlockHeader::flags; the rest are 0
@@ -203,7 +204,7 @@ struct DepthRange {
 };
 static_assert(sizeof(DepthRange) == 8);
 
-// --- NEAR, HAIR
+// --- NEAR, HAIR, CARD
 // ----------------------------------------------------------------------------------
 
 inline constexpr std::uint32_t kMaxPartChunks = 4096;
@@ -221,6 +222,15 @@ struct NearPart {
     std::uint32_t storedLength;
 };
 static_assert(sizeof(NearPart) == 8);
+
+/// CARD: a u32, the number of textures, a CardTexture for each and their stored texels; a
+/// u64, the length of a payload as NEAR's, and that; one more to the end.
+struct CardTexture {
+    std::uint32_t width, height, wrapU, wrapV;
+    float cutoff, opacity;
+    std::uint64_t storedLength;
+};
+static_assert(sizeof(CardTexture) == 32);
 
 // --- TOTL
 // ----------------------------------------------------------------------------------

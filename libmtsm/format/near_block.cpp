@@ -166,18 +166,28 @@ bool hasNearField(const ShadowMap& map) noexcept {
     return false;
 }
 
+Bytes encodeTriangles(const std::vector<const std::vector<NearChunk>*>& faces,
+                      Codec codec, int level) {
+    return encodeParts<TriangleParts>(faces, codec, level);
+}
+
+Status decodeTriangles(BytesView payload, std::uint64_t most,
+                       const std::vector<std::vector<NearChunk>*>& faces) {
+    return decodeParts<TriangleParts>(payload, most, faces);
+}
+
 Bytes encodeNear(const ShadowMap& map, Codec codec, int level) {
     std::vector<const std::vector<NearChunk>*> faces;
     for (std::uint32_t face = 0; face < map.faceCount(); ++face)
         faces.push_back(&map.nearField(face).chunks);
-    return encodeParts<TriangleParts>(faces, codec, level);
+    return encodeTriangles(faces, codec, level);
 }
 
 Status decodeNear(BytesView payload, std::uint64_t most, std::vector<MapFace>& faces) {
     std::vector<std::vector<NearChunk>*> chunks;
     for (MapFace& face : faces)
         chunks.push_back(&face.nearField.chunks);
-    return decodeParts<TriangleParts>(payload, most, chunks);
+    return decodeTriangles(payload, most, chunks);
 }
 
 }  // namespace mtsm::format

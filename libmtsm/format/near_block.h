@@ -18,4 +18,10 @@ namespace mtsm::format {
 /// for them and for the work. Errors: badFile, tooLarge.
 Status decodeNear(BytesView payload, std::uint64_t most, std::vector<MapFace>& faces);
 
+/// The payload alone: `faces` are the chunks of each.
+[[nodiscard]] Bytes encodeTriangles(
+    const std::vector<const std::vector<NearChunk>*>& faces, Codec codec, int level);
+Status decodeTriangles(BytesView payload, std::uint64_t most,
+                       const std::vector<std::vector<NearChunk>*>& faces);
+
 }  // namespace mtsm::format

@@ -15,6 +15,7 @@
 #include "base/message.h"
 #include "base/parallel.h"
 #include "format/bad_file.h"
+#include "format/card_block.h"
 #include "format/first_error.h"
 #include "format/frame.h"
 #include "format/guard.h"
@@ -161,7 +162,8 @@ struct Frame {
         std::uint64_t bytes = 0;
         for (const MapFace& face : faces)
             bytes += nearFieldBytes(face.nearField.chunks.size()) +
-                     nearHairBytes(face.nearHair.chunks.size());
+                     nearHairBytes(face.nearHair.chunks.size()) +
+                     mtsm::memoryBytes(face.nearSheets);
         return bytes;
     }
 };
@@ -186,6 +188,8 @@ Status readDirectoryBlock(const Source& source, const Prefix& prefix,
         return decodeNear(*payload, *nearBytes - frame.nearBytes(), frame.faces);
     } else if (entry.type == kHair) {
         return decodeHair(*payload, *nearBytes - frame.nearBytes(), frame.faces);
+    } else if (entry.type == kCard) {
+        return decodeSheets(*payload, *nearBytes - frame.nearBytes(), frame.faces);
     } else if (entry.type == kTotl) {
         const auto totals = decodeTotals(*payload, prefix, frame.info);
         if (!totals) return totals.error();

@@ -13,6 +13,7 @@
 #include "base/checksum.h"
 #include "base/message.h"
 #include "base/parallel.h"
+#include "format/card_block.h"
 #include "format/guard.h"
 #include "format/hair_block.h"
 #include "format/header.h"
@@ -87,6 +88,10 @@ class MapWriter {
         if (hasNearHair(map_)) {
             const Bytes hair = encodeHair(map_, options_.codec, options_.level);
             if (auto s = putBlock(kHair, 0, hair); !s) return s;
+        }
+        if (hasNearSheets(map_)) {
+            const Bytes cards = encodeSheets(map_, options_.codec, options_.level);
+            if (auto s = putBlock(kCard, 0, cards); !s) return s;
         }
         if (auto s = putBlock(kHier, kCritical, encodeHierarchy(map_)); !s) return s;
         if (auto s = putBlock(kTotl, kCritical, encodeTotals(map_)); !s) return s;

@@ -8,7 +8,7 @@ namespace mtsm::map_detail {
 /// What near_field.h states of chunks. Errors: badArgument.
 [[nodiscard]] Status checkChunks(const MapFace& face, std::uint32_t number);
 
-/// Fills the levels of both. The same for any number of threads.
+/// Fills the levels of all. The same for any number of threads.
 void buildBoxes(MapFace& face);
 
 /// To the last bit.

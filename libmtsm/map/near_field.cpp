@@ -197,6 +197,10 @@ Status checkChunks(const MapFace& face, std::uint32_t number) {
     for (std::size_t i = 0; i < face.nearField.chunks.size(); ++i) {
         if (auto s = checkGrid(face.nearField.chunks[i], i, number); !s) return s;
     }
+    for (std::size_t i = 0; i < face.nearSheets.triangles.chunks.size(); ++i) {
+        if (auto s = checkGrid(face.nearSheets.triangles.chunks[i], i, number); !s)
+            return s;
+    }
     const float most = face.projection.kind == ProjectionKind::perspective
                            ? 0.5f
                            : std::numeric_limits<float>::max();
@@ -213,6 +217,7 @@ Status checkChunks(const MapFace& face, std::uint32_t number) {
 }
 
 void buildBoxes(MapFace& face) {
+    buildLevels(face.nearSheets.triangles);
     buildLevels(face.nearField);
     buildLevels(face.nearHair, face.projection);
 }

@@ -12,6 +12,7 @@
 #include "base/message.h"
 #include "base/parallel.h"
 #include "map/near_boxes.h"
+#include "map/sheet_checks.h"
 #include "mtsm/map.h"
 
 namespace mtsm {
@@ -114,8 +115,10 @@ Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
     }
     map.buildHierarchy();
     map.queryData_ = std::make_shared<base::Lazy>();
-    for (MapFace& face : map.faces_)
+    for (MapFace& face : map.faces_) {
         map_detail::buildBoxes(face);
+        map_detail::buildSheets(face.nearSheets);
+    }
     return map;
 }
 
@@ -162,6 +165,10 @@ Status ShadowMap::checkShape() const {
             return invalid("face ", face, ": ", faces_[face].tiles.size(), " tiles, not ",
                            tilesX, " x ", tilesY);
         if (auto s = map_detail::checkChunks(faces_[face], face); !s) return s;
+        if (auto s =
+                map_detail::checkSheets(faces_[face].nearSheets, i, faces_.size(), face);
+            !s)
+            return s;
     }
     return {};
 }
@@ -354,6 +361,7 @@ std::uint64_t ShadowMap::memoryBytes() const noexcept {
         }
         bytes += nearFieldBytes(face.nearField.chunks.size()) +
                  nearHairBytes(face.nearHair.chunks.size());
+        if (!face.nearSheets.empty()) bytes += mtsm::memoryBytes(face.nearSheets);
     }
     for (const auto& face : hierarchy_) {
         for (const Level& level : face)
@@ -441,7 +449,8 @@ bool identical(const ShadowMap& a, const ShadowMap& b) noexcept {
     for (std::uint32_t face = 0; face < a.faceCount(); ++face) {
         if (!same(a.projection(face), b.projection(face)) ||
             !map_detail::sameChunks(a.nearField(face), b.nearField(face)) ||
-            !map_detail::sameChunks(a.nearHair(face), b.nearHair(face)))
+            !map_detail::sameChunks(a.nearHair(face), b.nearHair(face)) ||
+            !map_detail::sameSheets(a.nearSheets(face), b.nearSheets(face)))
             return false;
         for (std::uint32_t y = 0; y < a.info().height; ++y) {
             for (std::uint32_t x = 0; x < a.info().width; ++x) {

@@ -277,6 +277,19 @@ void OpacityTexture::opacity(glm::dvec2 uv, glm::dvec2 du, glm::dvec2 dv,
         lookUp<3>(uv, du, dv, out);
 }
 
+OpacityImage OpacityTexture::image() const {
+    OpacityImage image;
+    image.width = levels_[0].width;
+    image.height = levels_[0].height;
+    image.channels = channels_;
+    image.texels = original_.empty() ? levels_[0].texels : original_;
+    image.wrapU = wrapU_;
+    image.wrapV = wrapV_;
+    image.cutoff = cutoff_;
+    image.opacity = opacity_;
+    return image;
+}
+
 std::uint64_t OpacityTexture::memoryBytes() const noexcept {
     std::uint64_t numbers = original_.size();
     for (const Level& level : levels_)

@@ -13,6 +13,7 @@
 #include "trace/hair_trace.h"
 #include "trace/near_trace.h"
 #include "trace/patch_trace.h"
+#include "trace/sheet_trace.h"
 
 namespace mtsm::shadow {
 namespace {
@@ -31,8 +32,15 @@ constexpr double kHairMost = 256.0, kHairLeast = 2.0;
 /// strand is thinner.
 constexpr double kHairStart = 0.4;
 
+/// The same beside sheets, which are few.
+constexpr double kSheetWidth = 8.0;
+constexpr double kSheetMost = 1e6, kSheetLeast = 8.0;
+/// Texels may then be so much coarser: what one blurs is far from the receiver.
+constexpr float kSheetSpread = 2.0f;
+
 /// Triangles cannot be all of what is not opaque, and where strands are, not all.
 bool hasNear(const ShadowMap& map, std::uint32_t face) {
+    if (!map.nearSheets(face).empty()) return true;
     const bool hair = !map.nearHair(face).empty();
     return map.isOpaque() ? !map.nearField(face).empty() && !hair
                           : hair && map.faceCount() == 1;
@@ -65,10 +73,10 @@ LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& li
     setting.weights = normals && options.weight == Weight::cosine;
     setting.height = kPlaneHeight;
     if (near) {
-        const bool hair = !map.isOpaque();
-        setting.nearDepth = hair ? kHairMost : kNearDepth;
-        setting.nearWidth = hair ? kHairWidth : 0.0;
-        setting.nearLeast = kHairLeast;
+        const bool sheets = !map.nearSheets(0).empty(), hair = !map.isOpaque();
+        setting.nearDepth = sheets ? kSheetMost : hair ? kHairMost : kNearDepth;
+        setting.nearWidth = sheets ? kSheetWidth : hair ? kHairWidth : 0.0;
+        setting.nearLeast = sheets ? kSheetLeast : kHairLeast;
         setting.nearHeight = nearHeightOf(map);
         setting.nearStart = kNearStart;
     }
@@ -116,6 +124,7 @@ BundleQuery::Face::Face(const ShadowMap& map, std::uint32_t number, ZRange reach
       nearHeight(float(nearHeightOf(map) * projection.pixelFootprint(1.0))),
       nearField(map.nearField(number)),
       nearHair(map.nearHair(number)),
+      nearSheets(map.nearSheets(number)),
       near(hasNear(map, number)),
       empty(map.zRange(number).empty()),
       nearest(LightRays::nearestOf(projection, reach)) {
@@ -335,6 +344,7 @@ trace::DensityTraceOptions BundleQuery::densityOptions() const noexcept {
 void BundleQuery::traceNear(const Face& face, Rays& rays) const noexcept {
     trace::RayBundle& bundle = rays.bundle;
     const int rows = bundle.receivers * bundle.groups;
+    if (!face.nearSheets.empty()) return traceSheets(face, rays);
     if (!face.nearField.empty())
         trace::traceNear(face.nearField, bundle, rays.fates.nearEnd, face.nearHeight);
     if (!opaque_) {
@@ -349,6 +359,34 @@ void BundleQuery::traceNear(const Face& face, Rays& rays) const noexcept {
     }
     for (int row = 0; row < rows; ++row)
         std::copy_n(rays.fates.layersBegin[row], trace::kLanes, bundle.begin[row]);
+}
+
+/// The same of a map that has near sheets.
+void BundleQuery::traceSheets(const Face& face, Rays& rays) const noexcept {
+    trace::RayBundle& bundle = rays.bundle;
+    const int rows = bundle.receivers * bundle.groups;
+    alignas(64) float visible[trace::kMostRows][trace::kLanes];
+    std::fill_n(visible[0], std::size_t(rows) * trace::kLanes, 1.0f);
+    trace::SheetTraceOptions options;
+    options.perspective = face.projection.kind == ProjectionKind::perspective;
+    options.height = face.nearHeight;
+    options.dark = std::exp(-densityOptions().darkDepth);
+    trace::traceSheets(face.nearSheets, options, bundle, rays.fates.nearEnd, visible);
+    for (int row = 0; row < rows; ++row) {
+        for (int i = 0; i < trace::kLanes; ++i) {
+            const float left = visible[row][i];
+            // Where layers are opaque a sheet that is not is off by a pixel at most.
+            if (opaque_ && left < 0.5f) bundle.open[row] &= std::uint16_t(~(1u << i));
+            if (!opaque_ && left < 1.0f)
+                rays.depths.depth[0][row][i] +=
+                    left > options.dark ? -std::log(left) : trace::kDarkDepth;
+        }
+        std::copy_n(rays.fates.layersBegin[row], trace::kLanes, bundle.begin[row]);
+        std::copy_n(rays.fates.layersBegin[row], trace::kLanes,
+                    bundle.beginSurfaces[row]);
+    }
+    for (float& spread : bundle.spread)
+        spread *= kSheetSpread;
 }
 
 /// Follows the open rays: blocked ones are closed, others have more depth.
@@ -503,6 +541,12 @@ void BundleQuery::addUp(const Rays& rays, const std::uint16_t* valid, bool weigh
     }
 }
 
+/// The greatest w of its triangles.
+static float highestOf(const NearSheets& sheets) {
+    const NearBoxes& top = sheets.triangles.levels.back()[0];
+    return *std::max_element(top.high[2], top.high[2] + NearBoxes::kChildren);
+}
+
 /// Does nothing lie between those that have all of the light above them and it?
 bool BundleQuery::isFree(const Face& face, const Outlook& starts) const noexcept {
     std::optional<trace::RayHull> hull = face.outline.hull(starts, steps_.end[0]);
@@ -513,12 +557,18 @@ bool BundleQuery::isFree(const Face& face, const Outlook& starts) const noexcept
             return float(footprints * face.projection.pixelFootprint(1.0)) *
                    (perspective ? w : 1.0f);
         };
-        const float most = depth(opaque_ ? kNearDepth : kHairMost, hull->wHigh);
+        const bool sheets = !face.nearSheets.empty();
+        const float most = sheets
+                               ? std::max(0.0f, highestOf(face.nearSheets) - hull->wLow)
+                               : depth(opaque_ ? kNearDepth : kHairMost, hull->wHigh);
         if (trace::mayMeet(face.nearField.levels, *hull, most) ||
-            trace::mayMeet(face.nearHair.levels, *hull, most))
+            trace::mayMeet(face.nearHair.levels, *hull, most) ||
+            trace::mayMeet(face.nearSheets.triangles.levels, *hull, most))
             return false;
-        hull->wFirst +=
-            (1.0f - 0x1p-10f) * depth(opaque_ ? kNearDepth : kHairLeast, hull->wLow);
+        hull->wFirst += (1.0f - 0x1p-10f) * depth(sheets    ? kSheetLeast
+                                                  : opaque_ ? kNearDepth
+                                                            : kHairLeast,
+                                                  hull->wLow);
     }
     return face.patches ? !trace::mayMeet(*face.patches, *hull)
                         : !trace::mayMeet(*face.density, densityOptions(), *hull);

@@ -97,6 +97,7 @@ class BundleQuery {
         float nearHeight;  ///< RayBundle's measure of a plane's height
         const NearField& nearField;
         const NearHair& nearHair;
+        const NearSheets& nearSheets;
         /// Is all that is close to receivers in them? Strands of several faces are not
         /// asked for.
         bool near;
@@ -141,6 +142,7 @@ class BundleQuery {
     [[nodiscard]] glm::vec3 visibleOf(const Sums& sums, int step) const noexcept;
     [[nodiscard]] float errorOf(const Sums& sums, int step) const noexcept;
     void traceNear(const Face& face, Rays& rays) const noexcept;
+    void traceSheets(const Face& face, Rays& rays) const noexcept;
     void addUp(const Rays& rays, const std::uint16_t* valid, bool weights,
                Sums* sums) const noexcept;
 

@@ -112,6 +112,7 @@ methods() {
     case $1 in
     character | bumpy | palm | mesh) near='"none", "auto"' further="4096, 8192" ;;
     fur) near='"none", "auto"' further="4096" ;;
+    cards) near='"none", "auto"' ;;
     giant-*) resolutions="2048" paper=2048 embree="1, 4, 16, 64, 256" ;;
     esac
     if [ -n "$quick" ]; then

@@ -72,6 +72,13 @@ struct Slab {
     }
 };
 
+/// Ray by ray and layer by layer: the trees round depths (tests/trace/density_test.cpp).
+RayOptions definition() {
+    RayOptions options;
+    options.method = ShadowMethod::scalar;
+    return options;
+}
+
 }  // namespace
 
 TEST_CASE("N sheets of opacity a leave (1 - a)^N of every ray, straight or slanted",
@@ -92,7 +99,7 @@ TEST_CASE("N sheets of opacity a leave (1 - a)^N of every ray, straight or slant
                 const glm::dvec3 from(random.in(-0.7, 0.7), -0.5, random.in(-0.7, 0.7));
                 const glm::dvec3 to(random.in(-0.5, 0.5), 3.9, random.in(-0.5, 0.5));
                 INFO("ray " << i << ", " << count << " sheets, tolerance " << tolerance);
-                CHECK(visibility(map, between(from, to)) ==
+                CHECK(visibility(map, between(from, to), definition()) ==
                       Approx(expected).margin(2.0 * tolerance + 1e-5));
             }
         }
@@ -118,7 +125,7 @@ TEST_CASE("a homogeneous slab of extinction s leaves exp(-s d) of a ray through 
             const glm::dvec3 b = p.worldFromLight(p.lightFromRaster(at + 0.5, 1e-3));
             const glm::dvec3 d = glm::normalize(b - a);
             CHECK(
-                visibility(map, {a, d, 100.0}) ==
+                visibility(map, {a, d, 100.0}, definition()) ==
                 Approx(std::exp(-extinction * thickness / std::abs(d.y))).epsilon(1e-4));
         }
         // Others meet samples of several pixels: exact on average.
@@ -129,7 +136,7 @@ TEST_CASE("a homogeneous slab of extinction s leaves exp(-s d) of a ray through 
             const glm::dvec3 from(random.in(-1, 1), -0.5, random.in(-1, 1));
             const glm::dvec3 to(random.in(-0.5, 0.5), 3.9, random.in(-0.5, 0.5));
             const glm::dvec3 d = glm::normalize(to - from);
-            sum += visibility(map, between(from, to));
+            sum += visibility(map, between(from, to), definition());
             expected += std::exp(-extinction * thickness / std::abs(d.y));
         }
         CHECK(sum / rays == Approx(expected / rays).epsilon(0.01));

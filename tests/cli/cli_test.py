@@ -859,8 +859,11 @@ class Bake(ToolTest):
         self.assertFalse(json.loads(done.stdout)["nearField"]["kept"])
         self.assertIn("warning: no near field: it takes about 1M: --near-field 1M would hold it", done.stderr)
         done = self.good(self.bake(*LIGHT, "--near-field", "1M", "--opacity", 0.5))
-        self.assertIn("warning: no near field: only casters that are all opaque triangles", done.stderr)
-        done = self.good(self.bake(*LIGHT, "--near-field", "auto", "--opacity", 0.5))
+        self.assertIn("near field: 4 triangles", done.stderr)
+        self.assertIn("CARD", run("dump", "a.mtsm").stdout)
+        done = self.good(self.bake(*LIGHT, "--near-field", "1M", "--opacity", 0.5, "--color"))
+        self.assertIn("warning: no near field: only casters that are all opaque", done.stderr)
+        done = self.good(self.bake(*LIGHT, "--near-field", "auto", "--opacity", 0.5, "--color"))
         self.assertIn("no near field: only casters", done.stderr)
         self.assertNotIn("warning", done.stderr)
         done = self.good(self.bake(*LIGHT))  # auto

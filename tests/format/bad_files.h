@@ -71,6 +71,14 @@ inline const std::map<std::string, BadWords>& badWords() {
         {"bad_hair_too_wide",
          {"near field: chunk 0 of strands: steps of 0.00390625 in width", "halfStep"}},
         {"bad_hair_twice", {"2 blocks HAIR", "more than one block"}},
+        {"bad_card_cut",
+         {"its triangles reach past the end", "block CARD at offset 576: reaches past"}},
+        {"bad_card_textures_absurd",
+         {"claims 4294967295 textures", "block CARD at offset 576: reaches past"}},
+        {"bad_card_texture_too_large",
+         {"texture 0: 16385 x 1 texels", "16385 x 1 texels"}},
+        {"bad_card_texture_of_none", {"has texture 7 of 1", "texture 7"}},
+        {"bad_card_twice", {"2 blocks CARD", "more than one block"}},
         {"unsupported_newer_encoding",
          {"version 1.1, newer than the 1.0 that this reader knows: tile face 0 (0, 0) at "
           "offset 576: plane z: unknown encoding 3",
@@ -124,6 +132,24 @@ inline Bytes handmadeHair() {
     halves[16] = 2;
     out.bytes(halves);
     return hair;
+}
+
+/// Near sheets of the same triangle, half opaque, written by hand.
+inline Bytes handmadeCards() {
+    Bytes cards;
+    base::ByteWriter out(cards);
+    out.put(std::uint32_t(1));
+    out.put(format::CardTexture{1, 1, 0, 0, -1.0f, 0.5f, 1});
+    out.put(std::uint8_t(255));
+    const Bytes triangles = handmadeNear();
+    out.put(std::uint64_t(triangles.size()));
+    out.bytes(triangles);
+    out.put(format::NearFixed{1, 7});
+    out.put(std::uint64_t(1));                               // chunks
+    out.put(format::NearPart{0, 216});                       // as it is
+    out.bytes(std::vector<std::uint8_t>{0, 1, 0, 0, 0, 0});  // texture 0, one triangle
+    out.zeros(18 + 192);
+    return cards;
 }
 
 /// All checksums are right wherever the name does not say otherwise.
@@ -235,6 +261,22 @@ inline std::vector<BadFile> badFiles() {
     });
     add("bad_hair_twice", [](Surgery& s) {
         s.parts.insert(s.parts.begin() + 2, 2, {kHair, 0, handmadeHair()});
+    });
+    const auto addCards = [&](const std::string& name,
+                              const std::function<void(Bytes&)>& change) {
+        add(name, [&](Surgery& s) {
+            s.parts.insert(s.parts.begin() + 2, {kCard, 0, handmadeCards()});
+            change(s.parts[2].payload);
+        });
+    };
+    addCards("bad_card_cut", [](Bytes& cards) { cards.resize(60); });
+    addCards("bad_card_textures_absurd",
+             [](Bytes& cards) { poke(cards, 0, 0xffffffffu); });
+    addCards("bad_card_texture_too_large", [](Bytes& cards) { poke(cards, 4, 16385u); });
+    addCards("bad_card_texture_of_none",
+             [](Bytes& cards) { cards[cards.size() - 216] = 7; });
+    add("bad_card_twice", [](Surgery& s) {
+        s.parts.insert(s.parts.begin() + 2, 2, {kCard, 0, handmadeCards()});
     });
     add("unsupported_newer_encoding", [&](Surgery& s) {
         s.prefix.versionMinor = 1;

@@ -212,6 +212,39 @@ void checkNearHair(const json& j, const NearHair& hair) {
     CHECK(different == 0);
 }
 
+bool sameChunk(const json& j, const NearSheetChunk& chunk) {
+    for (std::size_t axis = 0; axis < 2; ++axis) {
+        if (!same(j["low"][axis], chunk.low[axis]) ||
+            !same(j["step"][axis], chunk.step[axis]))
+            return false;
+        for (std::size_t c = 0; c < 3; ++c) {
+            if (j["q"][c][axis] != json(chunk.uv[c][axis])) return false;
+        }
+    }
+    return j["texture"] == chunk.texture && j["triangles"] == chunk.triangles;
+}
+
+bool sameTexture(const json& j, const NearTexture& texture) {
+    return j["width"] == texture.width && j["height"] == texture.height &&
+           j["wrap"][0] == int(texture.wrapU) && j["wrap"][1] == int(texture.wrapV) &&
+           same(j["cutoff"], texture.cutoff) && same(j["opacity"], texture.opacity) &&
+           j["texels"].get<std::vector<std::uint8_t>>() == texture.texels;
+}
+
+void checkNearSheets(const json& j, const NearSheets& sheets) {
+    REQUIRE(j.is_null() == sheets.empty());
+    if (sheets.empty()) return;
+    checkNearField(j["triangles"], sheets.triangles);
+    REQUIRE(j["chunks"].size() == sheets.chunks.size());
+    REQUIRE(j["textures"].size() == sheets.textures.size());
+    std::size_t different = 0;
+    for (std::size_t i = 0; i < sheets.chunks.size(); ++i)
+        different += !sameChunk(j["chunks"][i], sheets.chunks[i]);
+    for (std::size_t i = 0; i < sheets.textures.size(); ++i)
+        different += !sameTexture(j["textures"][i], sheets.textures[i]);
+    CHECK(different == 0);
+}
+
 void checkMap(const json& j, const ShadowMap& map) {
     checkInfo(j, map.info());
     checkAttributes(j["attributes"], map.info().attributes);
@@ -219,6 +252,7 @@ void checkMap(const json& j, const ShadowMap& map) {
     ZRange z;
     REQUIRE(j["projections"].size() == map.faceCount());
     REQUIRE(j["pixels"].size() == map.faceCount());
+    checkNearSheets(j["nearSheets"], map.nearSheets(0));
     std::uint64_t different = 0;
     for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
         checkProjection(j["projections"][face], map.projection(face));

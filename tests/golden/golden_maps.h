@@ -374,6 +374,57 @@ inline Golden nearHair() {
     return {"near_hair", *std::move(map)};
 }
 
+/// Near sheets: more than one part, three textures, chunks of fewer than 16.
+inline Golden nearSheets() {
+    const Golden six = opaque();
+    std::vector<MapFace> faces;
+    faces.push_back({six.map.projection(0), {}, {}, {}, {}});
+    for (std::uint32_t y = 0; y < six.map.tilesY(); ++y) {
+        for (std::uint32_t x = 0; x < six.map.tilesX(); ++x)
+            faces[0].tiles.push_back(six.map.tile(0, x, y));
+    }
+    Numbers numbers(29);
+    NearSheets& near = faces[0].nearSheets;
+    near.textures.resize(3);
+    near.textures[0].opacity = 0.4f;
+    for (std::uint32_t i = 1; i < 3; ++i) {
+        NearTexture& texture = near.textures[i];
+        texture.width = 3 + 29 * (i - 1), texture.height = 2 + 15 * (i - 1);
+        texture.wrapU = TextureWrap::mirror, texture.wrapV = TextureWrap::clamp;
+        texture.cutoff = i == 1 ? 0.5f : -1.0f;
+        texture.texels.clear();
+        for (std::uint32_t k = 0; k < texture.width * texture.height; ++k)
+            texture.texels.push_back(std::uint8_t(i == 1 ? numbers.below(256) : k / 8));
+    }
+    for (std::uint32_t i = 0; i < 1026; ++i) {
+        NearChunk& chunk = near.triangles.chunks.emplace_back();
+        NearSheetChunk& coordinates = near.chunks.emplace_back();
+        coordinates.texture = i % 3;
+        coordinates.triangles = i % 5 == 4 ? 1 + i % 16 : 16;
+        for (int axis = 0; axis < 3; ++axis) {
+            chunk.step[axis] = axis == 2 ? 0x1p-16f : 0x1p-8f;
+            chunk.low[axis] = float(int(numbers.below(4096)) - 512) * 0x1p-8f;
+        }
+        for (int axis = 0; axis < 2; ++axis) {
+            coordinates.step[axis] = i % 3 ? 0x1p-15f : 0.0f;
+            coordinates.low[axis] = float(int(numbers.below(64)) - 32) * 0x1p-3f;
+        }
+        for (std::uint32_t t = 0; t < 16; ++t) {
+            for (std::uint32_t c = 0; c < 3; ++c) {
+                for (std::uint32_t axis = 0; axis < 3; ++axis)
+                    chunk.corner[c][axis][t] =
+                        std::uint16_t(600 * (t / 2 + c) * (axis + 1));
+                for (std::uint32_t axis = 0; axis < 2; ++axis)
+                    coordinates.uv[c][axis][t] =
+                        std::uint16_t(c == axis ? 32768 : i % 7 * t);
+            }
+        }
+    }
+    auto map = ShadowMap::create(six.map.info(), std::move(faces));
+    if (!map) throw std::runtime_error(map.error().message);
+    return {"near_sheets", *std::move(map)};
+}
+
 /// Smoke of which neighbouring pixels say nothing and neighbouring layers much, with
 /// depths and visibilities of few bits, as a bake rounds them.
 inline Golden rounded() {
@@ -430,6 +481,7 @@ inline std::vector<Golden> goldenMaps() {
     all.push_back(attributes());
     all.push_back(nearField());
     all.push_back(nearHair());
+    all.push_back(nearSheets());
     all.push_back(rounded());
     return all;
 }

@@ -82,9 +82,10 @@ struct BakeOptions {
     /// z threshold, >= 0, world units. Without: a pixel's footprint at a layer's depth.
     std::optional<float> bias;
     /// Bytes that the near field (mtsm/near_field.h) may take in memory; 0: none. Only
-    /// casters that are all opaque triangles and strands have one, and it is kept whole
-    /// or not at all: BakeReport says what came of it. It takes no more than a quarter of
-    /// what layers leave of maxBytes, because its making takes more.
+    /// casters that are all opaque triangles and strands have one, or, in a map of one
+    /// face without colour, all triangles of any opacity. It is kept whole or not at all:
+    /// BakeReport says what came of it. It takes no more than a quarter of what layers
+    /// leave of maxBytes, because its making takes more.
     std::uint64_t nearField = 0;
     Cull cull = Cull::none;  ///< faces turned away from (back) or to (front) the eye
     std::uint64_t maxBytes = std::uint64_t(8)

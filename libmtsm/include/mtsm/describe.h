@@ -43,6 +43,7 @@ struct Description {
     ZRange z;            ///< of all faces
     std::uint64_t nearTriangles = 0;  ///< of all faces' near fields
     std::uint64_t nearSegments = 0;   ///< of strands, likewise
+    std::uint64_t nearTextures = 0;   ///< of opacities, that some of the triangles have
     std::uint64_t nearChunks = 0;     ///< of 16 that both lie in
     std::uint64_t nearBytes = 0;      ///< that they take in memory
 };

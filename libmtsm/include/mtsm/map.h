@@ -30,6 +30,7 @@
 
 #include "mtsm/light.h"
 #include "mtsm/near_field.h"
+#include "mtsm/near_sheets.h"
 #include "mtsm/result.h"
 
 namespace mtsm {
@@ -160,6 +161,8 @@ struct MapFace {
     /// window, if all of them are opaque triangles and strands; or both empty.
     NearField nearField = {};
     NearHair nearHair = {};
+    /// The same if some of them let light through and none is hair or a volume.
+    NearSheets nearSheets = {};
 };
 
 /// A pixel's layers, pointing into a map.
@@ -201,6 +204,10 @@ class ShadowMap {
     /// Empty if the map has none, whatever its layers are.
     [[nodiscard]] const NearField& nearField(std::uint32_t face) const noexcept {
         return faces_[face].nearField;
+    }
+    /// The same for maps of sheets; only those of one face and one channel have it.
+    [[nodiscard]] const NearSheets& nearSheets(std::uint32_t face) const noexcept {
+        return faces_[face].nearSheets;
     }
     [[nodiscard]] const NearHair& nearHair(std::uint32_t face) const noexcept {
         return faces_[face].nearHair;

@@ -47,6 +47,8 @@ class OpacityTexture {
     /// channels() numbers in [0, 1]. Where uv is not finite: 1. Where a side is not: the
     /// mean over the whole texture.
     void opacity(glm::dvec2 uv, glm::dvec2 du, glm::dvec2 dv, float* out) const noexcept;
+    /// What create() was given.
+    [[nodiscard]] OpacityImage image() const;
     /// Some texel lets something through.
     [[nodiscard]] bool translucent() const noexcept { return translucent_; }
     /// Bytes that the levels take.

@@ -1,0 +1,66 @@
+// near_sheets.h - the triangles that a map of sheets was baked from, beside its layers:
+// leaves on cards, glass, and the opaque ones among them.
+//
+// They lie in chunks in straight space, as those of a map of opaque triangles
+// (mtsm/near_field.h). All triangles of a chunk have one texture, whose texels say how
+// opaque they are; a constant opacity is a texture of one texel. Texture coordinates are
+// low + step * uv, one grid a chunk; they run as those of mtsm/opacity_texture.h, and a
+// texture is looked up as that is where it is magnified: interpolated, unfiltered.
+//
+// With w = 1 / z a coordinate times w is linear in straight space, with w = -z (an
+// orthographic map) the coordinate is.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "mtsm/near_field.h"
+#include "mtsm/opacity_texture.h"
+
+namespace mtsm {
+
+/// How opaque the triangles of a chunk are, and where.
+struct NearSheetChunk {
+    std::uint32_t texture = 0;     ///< of NearSheets::textures
+    std::uint32_t triangles = 16;  ///< 1..16; the chunk's others do not count
+    float low[2] = {};             ///< [u, v] of the texture, finite
+    float step[2] = {};            ///< [u, v], >= 0; low + 65535 * step is finite
+    /// [corner][u, v][triangle]
+    std::uint16_t uv[3][2][NearChunk::kTriangles] = {};
+
+    [[nodiscard]] float at(int corner, int axis, int triangle) const noexcept {
+        return low[axis] + step[axis] * float(uv[corner][axis][triangle]);
+    }
+};
+static_assert(sizeof(NearSheetChunk) == 216);
+
+struct NearTexture {
+    std::uint32_t width = 1, height = 1;  ///< 1..OpacityImage::kMostTexels
+    TextureWrap wrapU = TextureWrap::repeat, wrapV = TextureWrap::repeat;
+    float cutoff = -1.0f;  ///< as OpacityImage::cutoff; finite
+    float opacity = 1.0f;  ///< multiplies what texels say, in [0, 1]
+    /// [height][width], upper row first, in 255ths.
+    std::vector<std::uint8_t> texels = {255};
+    /// [height + 1][width + 1]: four texels around a corner, the upper left one in the
+    /// lowest byte, then its right, lower and lower right neighbours; what lies beyond a
+    /// border is what `wrap` says. ShadowMap::create builds them, whatever is there.
+    std::vector<std::uint32_t> corners = {};
+};
+
+/// All triangles of one face; of its window and some way around it.
+struct NearSheets {
+    NearField triangles;
+    std::vector<NearSheetChunk> chunks;  ///< [triangles.chunks]
+    std::vector<NearTexture> textures;
+
+    [[nodiscard]] bool empty() const noexcept { return chunks.empty(); }
+};
+
+/// What so many chunks and a texture of this size take in memory.
+[[nodiscard]] std::uint64_t nearSheetBytes(std::uint64_t chunks) noexcept;
+[[nodiscard]] std::uint64_t nearTextureBytes(std::uint32_t width,
+                                             std::uint32_t height) noexcept;
+/// What all of it takes.
+[[nodiscard]] std::uint64_t memoryBytes(const NearSheets& sheets) noexcept;
+
+}  // namespace mtsm
