@@ -134,6 +134,25 @@ std::vector<Entry> sorted(const std::vector<Item>& items, const Footprints& foot
     return entries;
 }
 
+/// Strands of a chunk have their widths in steps of a 255th of its widest: none may be so
+/// wide that others are lost beside it.
+class Widths {
+  public:
+    /// Does it go with those before?
+    bool include(const Segment& s) {
+        const float half = std::max(s.half[0], s.half[1]);
+        const float low = std::min(low_, half), high = std::max(high_, half);
+        if (high > kMostRatio * low) return false;
+        low_ = low, high_ = high;
+        return true;
+    }
+    static bool include(const Triangle&) { return true; }
+
+  private:
+    static constexpr float kMostRatio = 16.0f;
+    float low_ = HUGE_VALF, high_ = 0.0f;
+};
+
 /// Where chunks begin among what was sorted, and behind them its number.
 template <typename Item>
 std::vector<std::size_t> cut(const std::vector<Item>& items,
@@ -144,12 +163,15 @@ std::vector<std::size_t> cut(const std::vector<Item>& items,
     for (std::size_t i = 0; i < order.size();) {
         begins.push_back(i);
         Box box(items[order[i].item]);
+        Widths widths;
+        widths.include(items[order[i].item]);
         const bool fine = footprints.size(box) <= kFineSize;
         const std::size_t end = std::min(i + NearChunk::kTriangles, order.size());
         while (++i < end) {
             Box both = box;
             both.add(Box(items[order[i].item]));
             if (footprints.size(both) > (fine ? kFineReach : kCoarseReach)) break;
+            if (!widths.include(items[order[i].item])) break;
             box = both;
         }
     }
@@ -243,7 +265,9 @@ NearHairChunk chunkOf(const Run<Segment>& segments, const Footprints& footprints
         const Segment& s = segments[i];
         for (int e = 0; e < 2; ++e) {
             const float steps = chunk.halfStep > 0.0f ? s.half[e] / chunk.halfStep : 0.0f;
-            chunk.half[e][i] = std::uint8_t(std::min(steps + 0.5f, kSteps));
+            // No strand is too thin to be there.
+            const float least = s.half[e] > 0.0f ? 1.0f : 0.0f;
+            chunk.half[e][i] = std::uint8_t(std::clamp(steps + 0.5f, least, kSteps));
         }
         chunk.opacity[i] = s.opacity;
     }

@@ -565,6 +565,7 @@ bool BundleQuery::isFree(const Face& face, const Outlook& starts) const noexcept
             trace::mayMeet(face.nearHair.levels, *hull, most) ||
             trace::mayMeet(face.nearSheets.triangles.levels, *hull, most))
             return false;
+        if (sheets) hull->spread *= float(kSheetSpread);
         hull->wFirst += (1.0f - 0x1p-10f) * depth(sheets    ? kSheetLeast
                                                   : opaque_ ? kNearDepth
                                                             : kHairLeast,
@@ -629,6 +630,8 @@ glm::vec3 BundleQuery::visibleOf(const Sums& sums, int step) const noexcept {
     const float total = weights ? sums.total : float(steps_.end[step]);
     // All weights may vanish in the distance; below the horizon all is dark.
     if (!(total > 0.0f)) return glm::vec3(sums.above ? 1.0f : 0.0f);
+    // However the weights were added up: what all rays see is seen.
+    if (weights && sums.least == 1.0f) return glm::vec3(1.0f);
     return glm::clamp(sums.visible / total, 0.0f, 1.0f);
 }
 

@@ -287,8 +287,13 @@ std::optional<trace::RayHull> LightOutline::hull(const Outlook& starts,
             tilt = before.high / before.low;
             slope[axis] = (x - (at[axis] - offset) * perScale * z) / before * scale;
         }
-        const float margin =
+        float margin =
             std::max(std::abs(slope[axis].low), std::abs(slope[axis].high)) * kRounding;
+        // What LightRays adds for receivers far behind what there is to meet.
+        if (o.perspective)
+            margin += std::max(std::abs(at[axis].low - o.offset[axis]),
+                               std::abs(at[axis].high - o.offset[axis])) /
+                      at[2].low * 0x1p-20f;
         slope[axis].low -= margin, slope[axis].high += margin;
     }
     // The light is smaller than the box around it.

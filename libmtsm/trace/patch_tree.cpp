@@ -818,7 +818,9 @@ const std::vector<PatchTree>* patchTrees(const ShadowMap& map) {
             for (std::uint32_t face = 0; face < map.faceCount(); ++face)
                 trees.push_back(PatchTree::build(
                     map, face,
-                    {map.nearField(face).empty() ? kFlatAlone : kFlatBesideNearField}));
+                    {map.nearField(face).empty() || !map.nearHair(face).empty()
+                         ? kFlatAlone
+                         : kFlatBesideNearField}));
         } catch (const std::bad_alloc&) {
             trees = {};
         }

@@ -43,7 +43,8 @@
 // Rays of your own (visibility, visibilities) go the same way, those of a batch that
 // follow each other from one origin together. Each counts for itself, down to the finest
 // level, unless RayOptions::spread says how dense they are. Through opaque maps rays
-// without a spread are followed by the definition, which is as fast for them.
+// without a spread are followed by the definition, which is as fast for them. They meet
+// layers only, no near field, but for rays with a spread through opaque maps.
 //
 // In a map of media (MapInfo::translucent) that holds for opaque surfaces. Hair and
 // volumes are met at exact crossings, and without a normal from one pixel footprint away
