@@ -6,6 +6,7 @@
 #include <functional>
 #include <glm/geometric.hpp>
 #include <memory>
+#include <random>
 
 #include "common/arguments.h"
 #include "common/light_options.h"
@@ -493,27 +494,55 @@ Results queryPoints(const ShadowMap& map, const AreaLight& light,
     return results;
 }
 
+/// Which of `surfaces` points stand for all, by their place in the list: runs of
+/// neighbours, one anywhere in each of as many stretches. (Not where stretches begin: in
+/// many pictures all of them would be at the left edge.)
+std::vector<std::size_t> placesToAsk(std::size_t surfaces) {
+    constexpr std::size_t kRun = 16, kRuns = 512;
+    std::vector<std::size_t> places;
+    std::mt19937 random;
+    const std::size_t runs = std::min(kRuns, (surfaces + kRun - 1) / kRun);
+    for (std::size_t k = 0; k < runs; ++k) {
+        std::size_t first = surfaces / runs * k;
+        const std::size_t next = k + 1 < runs ? surfaces / runs * (k + 1) : surfaces;
+        if (next - first > kRun) first += random() % (next - first - kRun + 1);
+        for (std::size_t i = first; i < std::min(next, first + kRun); ++i)
+            places.push_back(i);
+    }
+    return places;
+}
+
+/// Those of the receivers that have a surface and stand for all of them.
+PointList pointsToAsk(const Receivers& r) {
+    const auto isSurface = [&](std::size_t i) { return !r.surface || r.surface(i); };
+    std::size_t surfaces = 0;
+    for (std::size_t i = 0; i < r.count; ++i)
+        surfaces += isSurface(i);
+    const std::vector<std::size_t> places = placesToAsk(surfaces);
+    PointList list;
+    auto next = places.begin();
+    for (std::size_t i = 0, place = 0; next != places.end(); ++i) {
+        if (!isSurface(i) || place++ != *next) continue;
+        ++next;
+        list.points.push_back(r.point(i));
+        if (r.normal) list.normals.push_back(r.normal(i));
+    }
+    return list;
+}
+
 /// Options for the mean error that was asked for, by a part of the points; says what they
 /// are.
 ShadowOptions plannedOptions(const Arguments& a, const CLI::App& app,
                              const ShadowMap& map, const AreaLight& light,
                              ShadowOptions options, const Receivers& r, Talk& talk) {
-    constexpr std::size_t kRun = 16, kRuns = 256;
-    std::vector<glm::dvec3> points, normals;
-    const std::size_t runs = std::min(kRuns, (r.count + kRun - 1) / kRun);
-    for (std::size_t k = 0; k < runs; ++k) {
-        const std::size_t first = r.count / runs * k;
-        for (std::size_t i = first; i < std::min(r.count, first + kRun); ++i) {
-            if (r.surface && !r.surface(i)) continue;
-            points.push_back(r.point(i));
-            if (r.normal) normals.push_back(r.normal(i));
-        }
-    }
+    const PointList list = pointsToAsk(r);
+    if (list.points.empty()) return options;
     if (!app.count("--samples")) options.samples = kMaxSamples;
     const float asked = *a.quality.meanError();
     const QueryPlan plan =
-        planQueries(map, light, points.data(), r.normal ? normals.data() : nullptr,
-                    points.size(), asked, options);
+        planQueries(map, light, list.points.data(),
+                    list.normals.empty() ? nullptr : list.normals.data(),
+                    list.points.size(), asked, options);
     const ShadowOptions& o = plan.options;
     std::string text = "for a mean error of " + errorText(asked) + ": ";
     text +=

@@ -3,22 +3,30 @@
 
 #include <algorithm>
 #include <cmath>
+#include <new>
+#include <random>
 #include <vector>
 
 #include "light/sample.h"
+#include "shadow/sample_error.h"
 
 namespace mtsm {
 namespace {
 
 /// What maps of a kind were measured to have: the mean over a picture at 1024 x 1024, and
-/// the power of the resolution by which it falls.
+/// the power of the resolution by which it falls. Beyond `best` it does not.
 struct KindError {
-    float at1024, power;
+    float error, power;
+    std::uint32_t best = kMaxResolution;
 };
 KindError errorOf(MapKind kind) noexcept {
     switch (kind) {
         case MapKind::nearField:
             return {0.0017f, 0.6f};
+        case MapKind::nearSheets:
+            return {0.0016f, 0.75f, 512};
+        case MapKind::nearHair:
+            return {0.003f, 0.65f, 512};
         case MapKind::volume:
             return {0.001f, 0.5f};
         case MapKind::sheets:
@@ -31,13 +39,23 @@ KindError errorOf(MapKind kind) noexcept {
 }
 
 constexpr std::uint32_t kResolutions[] = {512, 1024, 2048, 4096};
-/// Beyond this maps of a kind were little better, or too large.
-std::uint32_t mostFor(MapKind kind) noexcept {
-    return kind == MapKind::surfaces ? 4096 : 2048;
+/// The smallest and the largest of them that are chosen. Beyond, maps of a kind were
+/// little better, or too large.
+struct Choice {
+    std::uint32_t least, most;
+};
+Choice choiceFor(MapKind kind, float meanError) noexcept {
+    if (kind == MapKind::nearSheets || kind == MapKind::nearHair) {
+        const std::uint32_t one = meanError > 0.01f    ? 512
+                                  : meanError < 0.005f ? 2048
+                                                       : 1024;
+        return {one, one};
+    }
+    return {512, kind == MapKind::surfaces ? 4096u : 2048u};
 }
 
 /// Bytes that a triangle of a near field takes, a little more than it does.
-constexpr std::uint64_t kTriangleBytes = 24;
+constexpr std::uint64_t kTriangleBytes = 24, kSheetBytes = 40;
 constexpr std::uint64_t kUsualNearField = std::uint64_t(64) << 20;
 constexpr std::uint64_t kMostNearField = std::uint64_t(1) << 30;
 
@@ -47,16 +65,20 @@ constexpr float kSamplesShare = 0.5f;
 /// those whose error was told too small, and a part of them tells no more of all.
 constexpr float kCareful = 0.7f;
 
-/// A part of a batch that stands for all of it: runs of neighbours, spread evenly.
+/// A part of a batch that stands for all of it: runs of neighbours, one anywhere in each
+/// of as many stretches, lest all of them lie in the same columns of a picture.
 class Pilot {
   public:
     Pilot(const glm::dvec3* points, const glm::dvec3* normals, std::size_t count) {
         constexpr std::size_t kRun = 16, kFewest = 32, kMost = 64;
         const std::size_t all = (count + kRun - 1) / kRun;
         const std::size_t runs = std::min(all, std::clamp(all / 8, kFewest, kMost));
+        std::mt19937 random;
         for (std::size_t r = 0; r < runs; ++r) {
-            const std::size_t first = runs > 1 ? r * (count - kRun) / (runs - 1) : 0;
-            for (std::size_t i = first; i < std::min(count, first + kRun); ++i) {
+            std::size_t first = count / runs * r;
+            const std::size_t next = r + 1 < runs ? count / runs * (r + 1) : count;
+            if (next - first > kRun) first += random() % (next - first - kRun + 1);
+            for (std::size_t i = first; i < std::min(next, first + kRun); ++i) {
                 points_.push_back(points[i]);
                 if (normals) normals_.push_back(normals[i]);
             }
@@ -83,41 +105,64 @@ class Pilot {
     std::vector<glm::dvec3> points_, normals_;
 };
 
-/// Four times as many samples make an error along an edge 2.8 times smaller; where
-/// blockers are finer, 2.
-constexpr float kShrinks = 2.4f;
+using shadow::SampleSteps;
 
-/// The mean of what errors come to where points take more samples, from `first` up to
-/// `most`, until they are below `bound`.
-double meanBelow(const std::vector<float>& errors, float bound, int first, int most) {
+/// What is left of an error after the step from `before` to `after` samples. Four times
+/// as many make one along an edge 2.8 times smaller, one where blockers are finer, 2: it
+/// is taken to be 2.4, which is 4 to this power.
+float shrink(std::uint32_t before, std::uint32_t after) noexcept {
+    constexpr float kPower = 0.63f;
+    return std::pow(float(before) / float(after), kPower);
+}
+
+/// The steps of points that take up to `most` samples.
+SampleSteps stepsOf(int first, int most) noexcept {
+    ShadowOptions options;
+    options.firstSamples = first;
+    options.targetError = 1.0f;
+    return SampleSteps::of(options, std::uint32_t(most));
+}
+
+/// Where a point stops that has this error after the first step.
+struct Stop {
+    std::uint32_t samples;
+    float error;
+};
+Stop stopOf(float error, float bound, const SampleSteps& steps) noexcept {
+    int step = 0;
+    for (; error > bound && step + 1 < steps.count; ++step)
+        error *= shrink(steps.end[step], steps.end[step + 1]);
+    return {steps.end[step], error};
+}
+
+/// The mean of what errors come to where points take samples until they are below
+/// `bound`.
+double meanBelow(const std::vector<float>& errors, float bound,
+                 const SampleSteps& steps) noexcept {
     double sum = 0.0;
-    for (float error : errors) {
-        for (int n = first; error > bound && n < most; n *= 4)
-            error /= kShrinks;
-        sum += error;
-    }
+    for (float error : errors)
+        sum += stopOf(error, bound, steps).error;
     return sum / double(errors.size());
 }
 
 /// The largest bound for which that mean is at most `budget`; 0: there is none.
-float boundFor(const std::vector<float>& errors, float budget, int first, int most) {
+float boundFor(const std::vector<float>& errors, float budget,
+               const SampleSteps& steps) noexcept {
     float low = 1e-5f, high = 0.5f;
-    if (meanBelow(errors, high, first, most) <= budget) return high;
-    if (meanBelow(errors, low, first, most) > budget) return 0.0f;
+    if (meanBelow(errors, high, steps) <= budget) return high;
+    if (meanBelow(errors, low, steps) > budget) return 0.0f;
     for (int i = 0; i < 24; ++i) {
         const float middle = std::sqrt(low * high);
-        (meanBelow(errors, middle, first, most) <= budget ? low : high) = middle;
+        (meanBelow(errors, middle, steps) <= budget ? low : high) = middle;
     }
     return low;
 }
 
 /// Samples that the worst of these points takes. (What is never taken need not be made.)
-int mostFor(const std::vector<float>& errors, float bound, int first, int most) {
-    int n = first;
-    for (float error = *std::max_element(errors.begin(), errors.end());
-         error > bound && n < most; n *= 4)
-        error /= kShrinks;
-    return std::min(n, most);
+int mostFor(const std::vector<float>& errors, float bound,
+            const SampleSteps& steps) noexcept {
+    const float worst = *std::max_element(errors.begin(), errors.end());
+    return int(stopOf(worst, bound, steps).samples);
 }
 
 }  // namespace
@@ -134,15 +179,23 @@ float meanError(Quality quality) noexcept {
 }
 
 MapKind kindOf(const ShadowMap& map) noexcept {
-    if (!map.nearField(0).empty()) return MapKind::nearField;
-    if (map.isOpaque()) return MapKind::surfaces;
+    bool triangles = false, sheets = false, hair = false;
+    for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
+        triangles = triangles || !map.nearField(face).empty();
+        sheets = sheets || !map.nearSheets(face).empty();
+        hair = hair || !map.nearHair(face).empty();
+    }
+    if (hair) return MapKind::nearHair;
+    if (sheets) return MapKind::nearSheets;
+    if (map.isOpaque()) return triangles ? MapKind::nearField : MapKind::surfaces;
     return map.info().translucent == Translucent::sheets ? MapKind::sheets
                                                          : MapKind::hair;
 }
 
 float mapError(MapKind kind, std::uint32_t resolution) noexcept {
     const KindError e = errorOf(kind);
-    return e.at1024 * std::pow(1024.0f / float(std::max(resolution, 1u)), e.power);
+    const float pixels = float(std::clamp(resolution, 1u, e.best));
+    return e.error * std::pow(float(std::min(e.best, 1024u)) / pixels, e.power);
 }
 
 float mapError(const ShadowMap& map) noexcept {
@@ -150,24 +203,39 @@ float mapError(const ShadowMap& map) noexcept {
     return mapError(kindOf(map), std::min(map.info().width, map.info().height));
 }
 
-MapSettings mapSettingsFor(const CasterMeasures& casters, float meanError) noexcept {
-    MapSettings settings;
-    settings.tolerance = std::clamp(meanError, 0.002f, 0.02f);
-    const bool opaque = !casters.letThrough && !casters.strands && !casters.volumes;
-    const std::uint64_t nearBytes = casters.triangles * kTriangleBytes;
-    if (opaque && nearBytes <= kMostNearField) {
-        settings.kind = MapKind::nearField;
-        settings.nearField = std::max(kUsualNearField, nearBytes);
-    } else if (opaque) {
-        settings.kind = MapKind::surfaces;
+namespace {
+
+/// Kind and near field for casters; the kind without one where it would be too large.
+void chooseKind(const CasterMeasures& casters, MapSettings& settings) noexcept {
+    const bool opaque = !casters.letThrough && !casters.volumes;
+    const bool sheets = casters.letThrough && !casters.volumes && !casters.strands;
+    const std::uint64_t bytes = sheets ? kSheetBytes : kTriangleBytes;
+    const bool fits = casters.triangles <= kMostNearField / bytes;
+    if (opaque && !casters.strands) {
+        settings.kind = fits ? MapKind::nearField : MapKind::surfaces;
+        if (fits)
+            settings.nearField = std::max(kUsualNearField, casters.triangles * bytes);
+    } else if (fits && (opaque || sheets)) {
+        settings.kind = sheets ? MapKind::nearSheets : MapKind::nearHair;
+        settings.nearField = kMostNearField;
     } else {
         settings.kind = casters.strands     ? MapKind::hair
                         : casters.triangles ? MapKind::sheets
                                             : MapKind::volume;
     }
+}
+
+}  // namespace
+
+MapSettings mapSettingsFor(const CasterMeasures& casters, float meanError) noexcept {
+    MapSettings settings;
+    settings.tolerance = std::clamp(meanError, 0.002f, 0.02f);
+    chooseKind(casters, settings);
     const float budget = meanError * (1.0f - kSamplesShare);
+    const Choice choice = choiceFor(settings.kind, meanError);
     for (const std::uint32_t resolution : kResolutions) {
-        if (resolution > mostFor(settings.kind)) break;
+        if (resolution < choice.least) continue;
+        if (resolution > choice.most) break;
         settings.resolution = resolution;
         settings.error = mapError(settings.kind, resolution);
         settings.reached = settings.error <= budget;
@@ -176,42 +244,61 @@ MapSettings mapSettingsFor(const CasterMeasures& casters, float meanError) noexc
     return settings;
 }
 
-QueryPlan planQueries(const ShadowMap& map, const AreaLight& light,
-                      const glm::dvec3* points, const glm::dvec3* normals,
-                      std::size_t count, float meanError,
-                      const ShadowOptions& options) noexcept {
-    QueryPlan plan{options, mapError(map), 0.0f, true};
-    plan.options.adaptive = false;
-    plan.options.targetError = 0.0f;
+namespace {
+
+/// What a part of a batch, asked twice, tells.
+QueryPlan planBy(const Pilot& pilot, const ShadowMap& map, const AreaLight& light,
+                 float meanError, QueryPlan plan) {
+    const ShadowOptions asked = plan.options;
     const float budget = std::max(meanError - plan.mapError, kSamplesShare * meanError);
-    if (light::LightSampler(light).isPoint() || count == 0) {
-        plan.options.samples = 1;
-        plan.reached = plan.mapError <= meanError;
-        return plan;
-    }
-    const Pilot pilot(points, normals, count);
-    const Pilot::Found few = pilot.ask(map, light, options, 16);
-    const Pilot::Found more = pilot.ask(map, light, options, 64);
+    Pilot::Found few = pilot.ask(map, light, asked, 16);
+    Pilot::Found more = pilot.ask(map, light, asked, 64);
     // What stays unseen where 16 samples see the same; of 64, that is a quarter.
     double unseen = 0.0;
     for (std::size_t i = 0; i < few.errors.size(); ++i)
         if (few.errors[i] == 0.0f) unseen += std::abs(few.factors[i] - more.factors[i]);
     unseen /= double(few.errors.size());
     plan.options.firstSamples = 16;
-    const std::vector<float>* errors = &few.errors;
+    std::vector<float>* errors = &few.errors;
     if (unseen > 0.25 * budget) {
         plan.options.firstSamples = 64;
         errors = &more.errors;
         unseen *= 0.25;
     }
-    const int first = plan.options.firstSamples, most = options.samples;
-    const float bound = std::max(
-        1e-5f, boundFor(*errors, float(kCareful * budget - unseen), first, most));
+    const SampleSteps steps =
+        stepsOf(plan.options.firstSamples, std::clamp(asked.samples, 1, kMaxSamples));
+    for (float& error : *errors)  // the only step may be another
+        error *= shrink(std::uint32_t(plan.options.firstSamples), steps.end[0]);
+    const float bound =
+        std::max(1e-5f, boundFor(*errors, float(kCareful * budget - unseen), steps));
+    plan.options.adaptive = false;
     plan.options.targetError = bound;
-    plan.options.samples = mostFor(*errors, bound, first, most);
-    plan.sampleError = float(unseen + meanBelow(*errors, bound, first, most));
+    plan.options.samples = mostFor(*errors, bound, steps);
+    plan.sampleError = float(unseen + meanBelow(*errors, bound, steps));
     plan.reached = plan.sampleError + plan.mapError <= 1.0001f * meanError;
     return plan;
+}
+
+}  // namespace
+
+QueryPlan planQueries(const ShadowMap& map, const AreaLight& light,
+                      const glm::dvec3* points, const glm::dvec3* normals,
+                      std::size_t count, float meanError,
+                      const ShadowOptions& options) noexcept {
+    QueryPlan plan{options, mapError(map), 0.0f, false};
+    if (count == 0) return plan;
+    if (light::LightSampler(light).isPoint()) {
+        plan.options.adaptive = false;
+        plan.options.targetError = 0.0f;
+        plan.options.samples = 1;
+        plan.reached = plan.mapError <= meanError;
+        return plan;
+    }
+    try {
+        return planBy(Pilot(points, normals, count), map, light, meanError, plan);
+    } catch (const std::bad_alloc&) {
+        return plan;
+    }
 }
 
 }  // namespace mtsm

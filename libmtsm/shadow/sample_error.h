@@ -70,6 +70,11 @@ struct SampleSteps {
         } else if (options.adaptive && end < samples) {
             steps.end[steps.count++] = end;
         }
+        // A few samples at the end would tell too little of the error of all: there are
+        // no fewer than in the part before, or that is a part of the last.
+        if (const int last = steps.count - 1;
+            last >= 0 && samples - steps.end[last] < steps.end[last] - steps.first(last))
+            steps.count = last;
         steps.end[steps.count++] = samples;
         return steps;
     }

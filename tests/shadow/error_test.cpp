@@ -8,6 +8,7 @@
 
 #include "map_fixture.h"
 #include "mtsm/shadow.h"
+#include "shadow/sample_error.h"
 
 using namespace mtsm;
 using test::mapOf;
@@ -118,7 +119,7 @@ TEST_CASE("the expected error is the true one along an edge, for any number of s
     // 2501 points: the means are known to 3 %; the estimate errs by the way in which an
     // edge crosses the strata.
     for (const LightShape shape : {LightShape::disk, LightShape::rect}) {
-        for (const int samples : {16, 64, 100, 256, 1024}) {
+        for (const int samples : {16, 64, 65, 100, 256, 1024}) {
             ShadowOptions options;
             options.samples = samples;
             const Calibration c = calibrate(shape, leftHalf, options);
@@ -251,4 +252,27 @@ TEST_CASE("points take samples until their error is small enough", "[shadow]") {
     }
     options.targetError = -1.0f;
     CHECK_FALSE(checkQuery(map, light, options));
+}
+
+TEST_CASE("no step takes fewer samples than the one before", "[shadow][exact]") {
+    ShadowOptions options;
+    options.targetError = 0.01f;
+    for (std::uint32_t samples = 1; samples <= std::uint32_t(kMaxSamples); ++samples) {
+        const auto steps = shadow::SampleSteps::of(options, samples);
+        REQUIRE(steps.count <= shadow::SampleSteps::kMost);
+        REQUIRE(steps.end[steps.count - 1] == samples);
+        for (int i = 1; i < steps.count; ++i)
+            REQUIRE(steps.end[i] - steps.first(i) >= steps.first(i) - steps.first(i - 1));
+    }
+}
+
+TEST_CASE("a sample more than a step needs does not spoil the expected error",
+          "[shadow][statistical]") {
+    ShadowOptions options;
+    options.samples = 65;
+    options.targetError = 0.001f;
+    const Calibration c = calibrate(LightShape::disk, leftHalf, options);
+    INFO("error " << c.error << ", expected " << c.expected);
+    CHECK(c.ratio() > 0.8);
+    CHECK(c.ratio() < 1.7);
 }

@@ -77,8 +77,10 @@ TEST_CASE("what is asked for better is never given a smaller map", "[quality]") 
             CHECK(chosen.tolerance <= before.tolerance);
             CHECK(chosen.error == mapError(chosen.kind, chosen.resolution));
             CHECK(chosen.reached == (chosen.error <= error * 0.5f));
-            // No smaller map would have done.
-            if (chosen.resolution > 512)
+            // No smaller map would have done; those with a near field of strands or
+            // sheets do not get worse.
+            if (chosen.resolution > 512 && chosen.kind != MapKind::nearHair &&
+                chosen.kind != MapKind::nearSheets)
                 CHECK(mapError(chosen.kind, chosen.resolution / 2) > error * 0.5f);
             before = chosen;
         }
@@ -94,9 +96,79 @@ TEST_CASE("opaque triangles are kept beside the layers while memory allows",
     CHECK(mapSettingsFor(solid(1'000'000'000), 0.005f).nearField == 0);
     CasterMeasures mixed = solid(1000);
     mixed.letThrough = true;
-    CHECK(mapSettingsFor(mixed, 0.005f).kind == MapKind::sheets);
+    CHECK(mapSettingsFor(mixed, 0.005f).kind == MapKind::nearSheets);
     mixed.strands = 1;
     CHECK(mapSettingsFor(mixed, 0.005f).kind == MapKind::hair);
+    CHECK(mapSettingsFor(mixed, 0.005f).nearField == 0);
+}
+
+TEST_CASE("strands and sheets are kept beside the layers where a bake can", "[quality]") {
+    CasterMeasures fur = solid(1000), cards = solid(1000);
+    fur.strands = 1000;
+    cards.letThrough = true;
+    for (CasterMeasures casters : {fur, cards}) {
+        const MapKind kind = casters.strands ? MapKind::nearHair : MapKind::nearSheets;
+        const MapSettings chosen = mapSettingsFor(casters, 0.005f);
+        CHECK(chosen.kind == kind);
+        CHECK(chosen.nearField > 0);
+        CHECK(chosen.resolution == 1024);
+        CHECK(mapSettingsFor(casters, 0.004f).resolution == 2048);
+        CHECK(mapSettingsFor(casters, 0.02f).resolution == 512);
+        CHECK(mapError(kind, 512) == mapError(kind, 1024));
+        CHECK(mapError(kind, 128) > mapError(kind, 512));
+        casters.volumes = 1;  // of which there is no near field
+        CHECK(mapSettingsFor(casters, 0.005f).nearField == 0);
+        casters.volumes = 0;
+        casters.triangles = 1'000'000'000;
+        CHECK(mapSettingsFor(casters, 0.005f).nearField == 0);
+    }
+}
+
+TEST_CASE("a map's kind is told by the near fields of all its faces", "[quality]") {
+    using Faces = std::vector<MapFace>;
+    const auto kindWith = [](std::vector<Projection> views, Translucent translucent,
+                             float visibility, auto&& change) {
+        Faces faces;
+        for (const Projection& view : views)
+            faces.push_back({view, {Tile{}}});
+        Tile& tile = faces[0].tiles[0];
+        tile.z = {1.0f};
+        if (visibility > 0.0f) tile.v = {visibility};
+        if (visibility > 0.0f) tile.n = {1};
+        tile.begin.assign(65, 1);
+        tile.begin[0] = 0;
+        change(faces);
+        MapInfo info = test::plainInfo(8, 8, 8);
+        info.translucent = translucent;
+        const auto map = ShadowMap::create(info, std::move(faces));
+        REQUIRE(map);
+        return kindOf(*map);
+    };
+    const auto nothing = [](Faces&) {};
+    const auto triangles = [](Faces& faces) { faces.back().nearField.chunks.resize(1); };
+    const auto hair = [](Faces& faces) {
+        NearHairChunk chunk;
+        chunk.opacity[0] = 65535;
+        faces.back().nearHair.chunks = {chunk};
+    };
+    const auto sheets = [](Faces& faces) {
+        faces.back().nearSheets.triangles.chunks.resize(1);
+        faces.back().nearSheets.chunks.resize(1);
+        faces.back().nearSheets.textures.resize(1);
+    };
+    const auto both = [&](Faces& faces) {
+        faces.front().nearField.chunks.resize(1);
+        hair(faces);
+    };
+    const auto one = std::vector{test::plainProjection(8, 8)};
+    const auto six = test::cubeProjections(8);
+    CHECK(kindWith(six, Translucent::sheets, 0.0f, nothing) == MapKind::surfaces);
+    CHECK(kindWith(six, Translucent::sheets, 0.0f, triangles) == MapKind::nearField);
+    CHECK(kindWith(six, Translucent::media, 0.5f, hair) == MapKind::nearHair);
+    CHECK(kindWith(six, Translucent::media, 0.5f, both) == MapKind::nearHair);
+    CHECK(kindWith(one, Translucent::sheets, 0.5f, sheets) == MapKind::nearSheets);
+    CHECK(kindWith(six, Translucent::sheets, 0.5f, nothing) == MapKind::sheets);
+    CHECK(kindWith(six, Translucent::media, 0.5f, nothing) == MapKind::hair);
 }
 
 TEST_CASE("final asks for a third of the paper's errors", "[quality]") {
@@ -156,4 +228,54 @@ TEST_CASE("a plan says where the map or the samples do not reach what was asked 
     CHECK_FALSE(plan(0.02f, 4096).reached);
     CHECK(plan(0.2f, 4096).reached);
     CHECK(plan(0.002f, 16).sampleError > 0.002f);
+}
+
+TEST_CASE("without points there is no plan: options stay as they are", "[quality]") {
+    const Edge edge = Edge::make(LightShape::disk);
+    ShadowOptions options;
+    options.samples = 100;
+    options.adaptive = true;
+    const QueryPlan plan =
+        planQueries(edge.map, edge.light, nullptr, nullptr, 0, 0.01f, options);
+    CHECK(plan.options.samples == 100);
+    CHECK(plan.options.adaptive);
+    CHECK_FALSE(plan.reached);
+}
+
+TEST_CASE("a plan knows how few samples the last step may add", "[quality]") {
+    const Edge edge = Edge::make(LightShape::disk);
+    const auto expected = [&](int samples) {
+        ShadowOptions options;
+        options.samples = samples;
+        return planQueries(edge.map, edge.light, edge.points.data(), nullptr,
+                           edge.points.size(), 0.0002f, options)
+            .sampleError;
+    };
+    // One more can not be worth much; less than one is taken as one.
+    CHECK(expected(17) < expected(16));
+    CHECK(expected(17) > 0.9f * expected(16));
+    CHECK(expected(65) > 0.9f * expected(64));
+    CHECK(expected(0) == expected(1));
+}
+
+TEST_CASE("a plan sees shadows in few columns of a picture", "[quality]") {
+    // 1008 is a multiple of the number of stretches less one: steps of equal length would
+    // stay in one column.
+    const Edge edge = Edge::make(LightShape::disk);
+    for (const int width : {512, 1008, 1024}) {
+        std::vector<glm::dvec3> points;
+        for (int y = 0; y < width; ++y)
+            for (int x = 0; x < width; ++x)
+                points.emplace_back(-0.8 + 1.6 * x / width, -0.8 + 1.6 * y / width, -4);
+        ShadowOptions options;
+        options.samples = kMaxSamples;
+        const auto plan = [&](const std::vector<glm::dvec3>& asked) {
+            return planQueries(edge.map, edge.light, asked.data(), nullptr, asked.size(),
+                               0.01f, options);
+        };
+        const QueryPlan here = plan(points), there = plan(edge.points);
+        INFO(width << ": " << here.sampleError << ", expected " << there.sampleError);
+        CHECK(here.sampleError > 0.5f * there.sampleError);
+        CHECK(here.options.samples >= 64);
+    }
 }

@@ -1,11 +1,12 @@
 // quality.h - settings of bakes and queries by what is needed: a mean error.
 //
-//     mtsm::MapSettings s = mtsm::mapSettingsFor(casters,
-//     mtsm::meanError(Quality::final));
-//     ...                                                     // bake.h: measureCasters()
-//     mtsm::QueryPlan plan = mtsm::planQueries(map, light, points, normals, count,
-//     0.005f); mtsm::shadowFactors(map, light, points, normals, count, out,
-//     plan.options);
+//     const float error = mtsm::meanError(mtsm::Quality::preview);
+//     auto casters = mtsm::measureCasters(source);  // mtsm/bake.h
+//     mtsm::MapSettings settings = mtsm::mapSettingsFor(*casters, error);
+//     ...  // bake with them
+//     mtsm::QueryPlan plan = mtsm::planQueries(map, light, points, normals, count, error,
+//                                              options);
+//     mtsm::shadowFactors(map, light, points, normals, count, out, plan.options);
 //
 // An error here is the mean of |shadow factor - true one| over the points that are asked
 // for, of a picture say: lit and dark ones count. Half of it is for the map and half for
@@ -40,11 +41,13 @@ struct CasterMeasures {
 
 /// How a map tells what is close to a receiver, from the most exact.
 enum class MapKind {
-    nearField,  ///< opaque triangles, kept beside the layers
-    volume,     ///< fog, which has no edges
-    sheets,     ///< surfaces that let light through
-    surfaces,   ///< opaque ones, by their layers alone
-    hair
+    nearField,   ///< opaque triangles, kept beside the layers
+    nearSheets,  ///< triangles that let light through, kept likewise
+    nearHair,    ///< strands, with opaque triangles or without, kept likewise
+    volume,      ///< fog, which has no edges
+    sheets,      ///< surfaces that let light through
+    surfaces,    ///< opaque ones, by their layers alone
+    hair         ///< media: a map does not tell hair from fog, which is less
 };
 [[nodiscard]] MapKind kindOf(const ShadowMap& map) noexcept;
 
@@ -58,15 +61,19 @@ enum class MapKind {
 struct MapSettings {
     std::uint32_t resolution = 1024;  ///< pixels a side
     float tolerance = 0.005f;         ///< BakeOptions::tolerance
-    std::uint64_t nearField = 0;      ///< BakeOptions::nearField, bytes
+    /// BakeOptions::nearField, bytes: of strands and sheets what it may take at most,
+    /// because their segments and texels are not counted.
+    std::uint64_t nearField = 0;
     MapKind kind = MapKind::surfaces;
     float error = 0.0f;   ///< mapError() of it
     bool reached = true;  ///< is that as little as was asked for?
 };
 
-/// The smallest map that leaves samples a part of `meanError`; if there is none, the
+/// The smallest map that leaves samples half of `meanError`; if there is none, the
 /// largest that was found to be of use: 4096 of opaque casters without a near field, else
-/// 2048.
+/// 2048. Near fields of strands and sheets make 512 pixels about as good as 1024: they
+/// get 1024 from .005 to .01, more below. Sheets are taken to be baked with one face and
+/// no colour: other maps have no near field of them.
 [[nodiscard]] MapSettings mapSettingsFor(const CasterMeasures& casters,
                                          float meanError) noexcept;
 
@@ -82,7 +89,8 @@ struct QueryPlan {
 /// The cheapest options with which the mean error over these points is expected to be
 /// `meanError`, at most options.samples at a point. Asks for 512 to 1024 of the points,
 /// spread over the batch, with 16 and with 64 samples; the other options are taken as
-/// they are. `normals` may be null.
+/// they are. `normals` may be null. Without points, or memory for a part of them, options
+/// stay as they are, and nothing is said to be reached.
 [[nodiscard]] QueryPlan planQueries(const ShadowMap& map, const AreaLight& light,
                                     const glm::dvec3* points, const glm::dvec3* normals,
                                     std::size_t count, float meanError,
