@@ -492,6 +492,10 @@ const char* kindText(MapKind kind) {
             return "opaque triangles, kept whole beside the layers";
         case MapKind::surfaces:
             return "opaque triangles, too many to be kept beside the layers";
+        case MapKind::nearSheets:
+            return "triangles that let light through, kept whole beside the layers";
+        case MapKind::nearHair:
+            return "strands, kept whole beside the layers";
         case MapKind::sheets:
             return "surfaces that let light through";
         case MapKind::volume:
