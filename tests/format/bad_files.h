@@ -253,7 +253,7 @@ inline std::vector<BadFile> badFiles() {
             change(s.parts[2].payload);
         });
     };
-    addHair("bad_hair_cut", [](Bytes& hair) { hair.resize(hair.size() - 10); });
+    addHair("bad_hair_cut", [](Bytes& hair) { hair.erase(hair.end() - 10, hair.end()); });
     addHair("bad_hair_chunks_absurd", [](Bytes& hair) { poke(hair, 8, 1ull << 60); });
     addHair("bad_hair_has_points", [](Bytes& hair) { poke(hair, 16, 3u); });
     addHair("bad_hair_too_wide", [](Bytes& hair) {
