@@ -37,7 +37,8 @@ void* giveOrNot(std::size_t size, std::size_t alignment) noexcept {
 
 }  // namespace
 
-// All of them: a sanitizer's own must not be mixed with these.
+// All of them: a sanitizer's own must not be mixed with these. Not inlined, where
+// compilers would see free() beside the new of others.
 using std::align_val_t, std::nothrow_t, std::size_t;
 void* operator new(size_t n) {
     return give(n, 1);
@@ -63,28 +64,28 @@ void* operator new(size_t n, align_val_t a, const nothrow_t&) noexcept {
 void* operator new[](size_t n, align_val_t a, const nothrow_t&) noexcept {
     return giveOrNot(n, size_t(a));
 }
-void operator delete(void* p) noexcept {
+[[gnu::noinline]] void operator delete(void* p) noexcept {
     std::free(p);
 }
-void operator delete[](void* p) noexcept {
+[[gnu::noinline]] void operator delete[](void* p) noexcept {
     std::free(p);
 }
-void operator delete(void* p, size_t) noexcept {
+[[gnu::noinline]] void operator delete(void* p, size_t) noexcept {
     std::free(p);
 }
-void operator delete[](void* p, size_t) noexcept {
+[[gnu::noinline]] void operator delete[](void* p, size_t) noexcept {
     std::free(p);
 }
-void operator delete(void* p, align_val_t) noexcept {
+[[gnu::noinline]] void operator delete(void* p, align_val_t) noexcept {
     std::free(p);
 }
-void operator delete[](void* p, align_val_t) noexcept {
+[[gnu::noinline]] void operator delete[](void* p, align_val_t) noexcept {
     std::free(p);
 }
-void operator delete(void* p, size_t, align_val_t) noexcept {
+[[gnu::noinline]] void operator delete(void* p, size_t, align_val_t) noexcept {
     std::free(p);
 }
-void operator delete[](void* p, size_t, align_val_t) noexcept {
+[[gnu::noinline]] void operator delete[](void* p, size_t, align_val_t) noexcept {
     std::free(p);
 }
 
