@@ -2,47 +2,31 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "shadow/light_outline.cpp"
 #define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
+#include "trace/lanes-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace mtsm::shadow::HWY_NAMESPACE {
+namespace lanes = trace::HWY_NAMESPACE;
 namespace hn = hwy::HWY_NAMESPACE;
 
+using lanes::bitsOf, lanes::broadcast, lanes::fusedDot, lanes::maskOf, lanes::subtract;
+using lanes::Floats, lanes::Vec, lanes::Vec3;
 using trace::kLanes;
-using Floats = hn::CappedTag<float, kLanes>;
-using Vec = hn::Vec<Floats>;
 constexpr Floats kF;
 constexpr int kN = int(hn::MaxLanes(kF));
 
-HWY_INLINE std::uint32_t bitsOf(hn::Mask<Floats> mask) {
-    std::uint8_t bytes[8] = {};
-    hn::StoreMaskBits(kF, mask, bytes);
-    std::uint16_t bits;
-    std::memcpy(&bits, bytes, sizeof bits);
-    return bits & ((1u << kN) - 1);
-}
-
-struct Vec3 {
-    Vec x, y, z;
-};
-HWY_INLINE Vec3 set(const float (&p)[3]) {
-    return {hn::Set(kF, p[0]), hn::Set(kF, p[1]), hn::Set(kF, p[2])};
-}
-HWY_INLINE Vec dot(Vec3 a, Vec3 b) {
-    return hn::MulAdd(a.x, b.x, hn::MulAdd(a.y, b.y, hn::Mul(a.z, b.z)));
-}
 HWY_INLINE Vec sizeOf(Vec3 a) {
     return hn::Add(hn::Abs(a.x), hn::Add(hn::Abs(a.y), hn::Abs(a.z)));
 }
 
 /// [axis][receiver], in light space.
-struct Lanes {
+struct Seen {
     alignas(64) float position[3][kLanes], normal[3][kLanes];
     [[nodiscard]] static Vec3 load(const float (&p)[3][kLanes], int i) {
         return {hn::Load(kF, p[0] + i), hn::Load(kF, p[1] + i), hn::Load(kF, p[2] + i)};
@@ -50,7 +34,7 @@ struct Lanes {
 };
 
 void toLightSpace(const LightOutline::Outline& light, const Receiver* receivers,
-                  int count, Lanes& lanes) {
+                  int count, Seen& seen) {
     alignas(64) double p[3][kLanes], n[3][kLanes];
     for (int i = 0; i < kLanes; ++i) {
         const Receiver& receiver = receivers[std::min(i, count - 1)];
@@ -63,29 +47,29 @@ void toLightSpace(const LightOutline::Outline& light, const Receiver* receivers,
         const double x = light.turn[axis][0], y = light.turn[axis][1],
                      z = light.turn[axis][2];
         for (int i = 0; i < kLanes; ++i) {
-            lanes.position[axis][i] = float(x * p[0][i] + y * p[1][i] + z * p[2][i]);
-            lanes.normal[axis][i] = float(x * n[0][i] + y * n[1][i] + z * n[2][i]);
+            seen.position[axis][i] = float(x * p[0][i] + y * p[1][i] + z * p[2][i]);
+            seen.normal[axis][i] = float(x * n[0][i] + y * n[1][i] + z * n[2][i]);
         }
     }
 }
 
 /// Which receivers have all of the light above their horizon, and which nothing of it.
-void horizon(const LightOutline::Outline& light, const Lanes& lanes, int i,
+void horizon(const LightOutline::Outline& light, const Seen& seen, int i,
              std::uint32_t& above, std::uint32_t& below) {
-    const Vec3 p = Lanes::load(lanes.position, i), n = Lanes::load(lanes.normal, i);
-    const Vec3 centre = set(light.centre);
+    const Vec3 p = Seen::load(seen.position, i), n = Seen::load(seen.normal, i);
+    const Vec3 centre = broadcast(light.centre);
     Vec3 base = centre;
     Vec rounding = sizeOf(centre);
     if (!light.endless) {
-        base = {hn::Sub(centre.x, p.x), hn::Sub(centre.y, p.y), hn::Sub(centre.z, p.z)};
+        base = subtract(centre, p);
         rounding = hn::Add(rounding, sizeOf(p));
     }
     const Vec size = sizeOf(n);
-    const Vec middle = dot(base, n);
+    const Vec middle = fusedDot(base, n);
     Vec reach = hn::Mul(hn::Set(kF, light.radius), size);
     for (const auto& axis : light.axes) {
-        const Vec3 a = set(axis);
-        reach = hn::Add(reach, hn::Abs(dot(a, n)));
+        const Vec3 a = broadcast(axis);
+        reach = hn::Add(reach, hn::Abs(fusedDot(a, n)));
         rounding = hn::Add(rounding, sizeOf(a));
     }
     reach = hn::MulAdd(hn::Mul(rounding, size), hn::Set(kF, 0x1p-18f), reach);
@@ -97,14 +81,14 @@ void horizon(const LightOutline::Outline& light, const Lanes& lanes, int i,
 }
 
 /// The boxes around where those above start.
-void starts(const LightOutline::Outline& light, const Lanes& lanes, Outlook& outlook) {
+void starts(const LightOutline::Outline& light, const Seen& seen, Outlook& outlook) {
     Vec low[3], high[3];
     for (int axis = 0; axis < 3; ++axis) {
         low[axis] = hn::Set(kF, HUGE_VALF);
         high[axis] = hn::Set(kF, -HUGE_VALF);
     }
     for (int i = 0; i < kLanes; i += kN) {
-        const Vec3 p = Lanes::load(lanes.position, i);
+        const Vec3 p = Seen::load(seen.position, i);
         const Vec one = hn::Set(kF, 1.0f);
         const Vec w = light.perspective ? hn::Div(one, p.z) : hn::Neg(p.z);
         const Vec perDepth = light.perspective ? w : one;
@@ -113,10 +97,7 @@ void starts(const LightOutline::Outline& light, const Lanes& lanes, Outlook& out
                               hn::Set(kF, light.offset[axis]));
         };
         const Vec at[3] = {raster(p.x, 0), raster(p.y, 1), w};
-        std::uint8_t bytes[8] = {};
-        const auto bits = std::uint16_t(outlook.above >> i);
-        std::memcpy(bytes, &bits, sizeof bits);
-        const auto above = hn::LoadMaskBits(kF, bytes);
+        const auto above = maskOf(std::uint32_t(outlook.above) >> i);
         for (int axis = 0; axis < 3; ++axis) {
             low[axis] = hn::IfThenElse(above, hn::Min(low[axis], at[axis]), low[axis]);
             high[axis] = hn::IfThenElse(above, hn::Max(high[axis], at[axis]), high[axis]);
@@ -130,15 +111,15 @@ void starts(const LightOutline::Outline& light, const Lanes& lanes, Outlook& out
 
 void see(const LightOutline::Outline& light, const Receiver* receivers, int count,
          bool normals, Outlook& outlook) {
-    Lanes lanes;
-    toLightSpace(light, receivers, count, lanes);
+    Seen seen;
+    toLightSpace(light, receivers, count, seen);
     const std::uint32_t all = (1u << count) - 1;
     std::uint32_t above = normals ? 0 : all, below = 0;
     for (int i = 0; normals && i < kLanes; i += kN)
-        horizon(light, lanes, i, above, below);
+        horizon(light, seen, i, above, below);
     outlook.above = std::uint16_t(above & all);
     outlook.below = std::uint16_t(below & all);
-    if (outlook.above) starts(light, lanes, outlook);
+    if (outlook.above) starts(light, seen, outlook);
 }
 
 }  // namespace mtsm::shadow::HWY_NAMESPACE

@@ -11,6 +11,7 @@
 #define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
+#include "trace/lanes-inl.h"
 
 #ifndef MTSM_SHADOW_LIGHT_RAYS_INPUT
 #define MTSM_SHADOW_LIGHT_RAYS_INPUT
@@ -33,32 +34,18 @@ struct FillInput {
 
 HWY_BEFORE_NAMESPACE();
 namespace mtsm::shadow::HWY_NAMESPACE {
+namespace lanes = trace::HWY_NAMESPACE;
 namespace hn = hwy::HWY_NAMESPACE;
 
+using lanes::bitsOf, lanes::fusedDot, lanes::reciprocal;
+using lanes::Floats, lanes::Vec, lanes::Vec3;
 using trace::kLanes;
-using Floats = hn::CappedTag<float, kLanes>;
-using Ints = hn::RebindToSigned<Floats>;
 using Bits = hn::RebindToUnsigned<Floats>;
-using Vec = hn::Vec<Floats>;
-using MaskF = hn::Mask<Floats>;
+using MaskF = lanes::Mask;
 constexpr Floats kF;
 constexpr Bits kU;
 constexpr int kN = int(hn::MaxLanes(kF));
 
-HWY_INLINE std::uint32_t bitsOf(MaskF mask) {
-    std::uint8_t bytes[8] = {};
-    hn::StoreMaskBits(kF, mask, bytes);
-    std::uint16_t bits;
-    std::memcpy(&bits, bytes, sizeof bits);
-    return bits & ((1u << kN) - 1);
-}
-
-struct Vec3 {
-    Vec x, y, z;
-};
-HWY_INLINE Vec dot(Vec3 a, Vec3 b) {
-    return hn::MulAdd(a.x, b.x, hn::MulAdd(a.y, b.y, hn::Mul(a.z, b.z)));
-}
 /// a + s b
 HWY_INLINE Vec3 along(Vec3 a, Vec s, Vec3 b) {
     return {hn::MulAdd(s, b.x, a.x), hn::MulAdd(s, b.y, a.y), hn::MulAdd(s, b.z, a.z)};
@@ -70,15 +57,6 @@ HWY_INLINE Vec constant(float x) {
 struct Pair {
     Vec x, y;
 };
-
-/// 1 / x but for the last bit or two.
-HWY_INLINE Vec reciprocal(Vec x) {
-    Vec guess = hn::ApproximateReciprocal(x);
-#if HWY_TARGET == HWY_NEON  // starts from 8 bits
-    guess = hn::Mul(guess, hn::NegMulAdd(x, guess, hn::Set(kF, 2.0f)));
-#endif
-    return hn::Mul(guess, hn::NegMulAdd(x, guess, constant(2.0f)));
-}
 
 /// Light space to straight space.
 HWY_INLINE Vec3 project(const LightRays::View& view, Vec3 p) {
@@ -134,13 +112,13 @@ class Starts {
     /// [map.h]: a height above the tangent plane in world units, times w if perspective,
     /// is linear in straight space.
     void setPlanes() {
-        const Vec size = hn::Div(constant(1.0f), hn::Sqrt(dot(normal_, normal_)));
+        const Vec size = hn::Div(constant(1.0f), hn::Sqrt(fusedDot(normal_, normal_)));
         normal_ = {hn::Mul(normal_.x, size), hn::Mul(normal_.y, size),
                    hn::Mul(normal_.z, size)};
         const Vec a = hn::Mul(normal_.x, constant(1.0f / view_.scaleU));
         const Vec b = hn::Mul(normal_.y, constant(1.0f / view_.scaleV));
-        const Vec c =
-            view_.perspective ? hn::Neg(dot(normal_, position_)) : hn::Neg(normal_.z);
+        const Vec c = view_.perspective ? hn::Neg(fusedDot(normal_, position_))
+                                        : hn::Neg(normal_.z);
         hn::Store(a, kF, bundle_.planeU + first_);
         hn::Store(b, kF, bundle_.planeV + first_);
         hn::Store(c, kF, bundle_.planeW + first_);
@@ -437,9 +415,9 @@ class Rays {
         MaskF above = hn::Gt(one, zero);
         Vec begin, nearBegin, surfaces;
         if (in_.normals) {
-            above = hn::Gt(dot(delta, normal_), zero);
+            above = hn::Gt(fusedDot(delta, normal_), zero);
             // How fast the ray rises above the tangent plane, in s.
-            const Vec rise = dot(plane_, way);
+            const Vec rise = fusedDot(plane_, way);
             const Vec per =
                 hn::IfThenElse(hn::Gt(rise, zero), reciprocal(rise), constant(HUGE_VALF));
             begin = surfaces = hn::Mul(constant(view_.planeHeight), per);
@@ -508,7 +486,7 @@ class Rays {
 
     /// s at a distance from the receiver.
     Vec fromStart(Vec3 delta, Vec end, Vec lastZ, Vec distance) const {
-        const Vec t = hn::Div(distance, hn::Sqrt(dot(delta, delta)));
+        const Vec t = hn::Div(distance, hn::Sqrt(fusedDot(delta, delta)));
         const Vec share = hn::Div(t, end);
         if (!view_.perspective) return share;
         const Vec z = hn::MulAdd(t, delta.z, position_.z);
@@ -529,24 +507,24 @@ class Rays {
     /// LightSample::weight times the cosine at the receiver.
     void weigh(int row, int i, Vec3 delta, Vec3 radial) {
         const Vec zero = hn::Zero(kF);
-        const Vec d2 = dot(delta, delta), length = hn::Sqrt(d2);
+        const Vec d2 = fusedDot(delta, delta), length = hn::Sqrt(d2);
         const Vec facingLight =
-            hn::Div(dot(delta, normal_), hn::Sqrt(dot(normal_, normal_)));
+            hn::Div(fusedDot(delta, normal_), hn::Sqrt(fusedDot(normal_, normal_)));
         Vec weight = hn::Div(hn::Max(zero, facingLight), length);
         if (!in_.endless) {
             weight = hn::Div(weight, d2);
             Vec3 normal{constant(in_.shines.x), constant(in_.shines.y),
                         constant(in_.shines.z)};
-            MaskF cosine = hn::Gt(dot(normal, normal), zero);
+            MaskF cosine = hn::Gt(fusedDot(normal, normal), zero);
             if (in_.domain == light::LightView::Domain::cap) {
-                const Vec size = hn::Sqrt(dot(radial, radial));
+                const Vec size = hn::Sqrt(fusedDot(radial, radial));
                 const Vec unit = hn::Div(constant(1.0f), size);
                 normal = {hn::Mul(radial.x, unit), hn::Mul(radial.y, unit),
                           hn::Mul(radial.z, unit)};
                 cosine = hn::Lt(capHeight_, constant(2.0f));  // seen from outside
             }
             const Vec facing =
-                hn::Div(hn::Max(zero, hn::Neg(dot(delta, normal))), length);
+                hn::Div(hn::Max(zero, hn::Neg(fusedDot(delta, normal))), length);
             weight = hn::IfThenElse(cosine, hn::Mul(weight, facing), weight);
         }
         // Of thousands the sum must be a number.

@@ -22,6 +22,7 @@
 #define HWY_TARGET_INCLUDE "trace/hair_trace.cpp"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
+#include "trace/lanes-inl.h"
 
 #ifndef MTSM_TRACE_HAIR_VIEW
 #define MTSM_TRACE_HAIR_VIEW
@@ -42,12 +43,6 @@ HWY_BEFORE_NAMESPACE();
 namespace mtsm::trace {
 namespace HWY_NAMESPACE {
 
-namespace hn = hwy::HWY_NAMESPACE;
-
-using Floats = hn::CappedTag<float, kLanes>;
-using Vec = hn::Vec<Floats>;
-using Mask = hn::Mask<Floats>;
-
 constexpr int kSegments = NearHairChunk::kSegments;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 /// Of a ray's coordinates, added to its receiver's box.
@@ -59,17 +54,6 @@ constexpr float kLeastRise = 0x1p-12f;
 /// A receiver that is no further than this many half widths from a strand's middle line
 /// lies on it.
 constexpr float kWithin = 1.05f;
-
-HWY_INLINE std::uint32_t bitsOf(Floats d, Mask mask) {
-    std::uint8_t bytes[8] = {};
-    hn::StoreMaskBits(d, mask, bytes);
-    return bytes[0] | std::uint32_t(bytes[1]) << 8;
-}
-
-HWY_INLINE Mask maskOf(Floats d, std::uint32_t bits) {
-    const std::uint8_t bytes[8] = {std::uint8_t(bits), std::uint8_t(bits >> 8)};
-    return hn::LoadMaskBits(d, bytes);
-}
 
 /// a + t (b - a)
 HWY_INLINE Vec between(Vec a, Vec b, Vec t) {
@@ -214,7 +198,7 @@ void HairWalk::node(std::size_t level, std::size_t index) {
             overlap = hn::And(overlap, hn::Ge(hn::LoadU(d, boxes.high[axis] + i),
                                               hn::Set(d, hullLow_[axis])));
         }
-        found |= bitsOf(d, overlap) << i;
+        found |= bitsOf(overlap) << i;
     }
     for (; found; found &= found - 1) {
         const int i = std::countr_zero(found);
@@ -240,7 +224,7 @@ std::uint32_t HairWalk::lanesAt(const NearBoxes& boxes, int i) const {
             may = hn::And(may, hn::Ge(hn::Load(d, high_[axis] + k),
                                       hn::Set(d, boxes.low[axis][i])));
         }
-        lanes |= bitsOf(d, may) << k;
+        lanes |= bitsOf(may) << k;
     }
     return lanes;
 }
@@ -380,7 +364,7 @@ std::uint32_t HairWalk::look(int lane, const Segments& segments,
             may = hn::AndNot(isOwn(lane, a, b, hn::Load(d, segments.half[0] + i),
                                    hn::Load(d, segments.half[1] + i)),
                              may);
-        found |= bitsOf(d, may) << i;
+        found |= bitsOf(may) << i;
         hn::Store(slope[0][0], d, seen.firstU + i);
         hn::Store(slope[0][1], d, seen.firstV + i);
         hn::Store(hn::Mul(eu, per), d, seen.alongU + i);
@@ -433,13 +417,13 @@ void HairWalk::settle(float darkDepth, std::uint32_t channels, RayDepths& depths
             const int row = rays_.row(std::countr_zero(rest), group);
             std::uint32_t left = 0;
             for (std::size_t i = 0; i < kLanes; i += hn::Lanes(d)) {
-                const Mask open = maskOf(d, std::uint32_t(rays_.open[row]) >> i);
+                const Mask open = maskOf(std::uint32_t(rays_.open[row]) >> i);
                 const Vec met = hn::IfThenElseZero(open, hn::Load(d, met_[row] + i));
                 for (std::uint32_t c = 0; c < channels; ++c) {
                     float* const depth = depths.depth[c][row] + i;
                     const Vec sum = hn::Add(hn::Load(d, depth), met);
                     hn::Store(sum, d, depth);
-                    left |= bitsOf(d, hn::Lt(sum, hn::Set(d, darkDepth))) << i;
+                    left |= bitsOf(hn::Lt(sum, hn::Set(d, darkDepth))) << i;
                 }
             }
             rays_.open[row] = std::uint16_t(rays_.open[row] & left);

@@ -26,16 +26,11 @@
 #define HWY_TARGET_INCLUDE "trace/near_trace.cpp"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
+#include "trace/lanes-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace mtsm::trace {
 namespace HWY_NAMESPACE {
-
-namespace hn = hwy::HWY_NAMESPACE;
-
-using Floats = hn::CappedTag<float, kLanes>;
-using Vec = hn::Vec<Floats>;
-using Mask = hn::Mask<Floats>;
 
 constexpr int kTriangles = NearChunk::kTriangles;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
@@ -43,40 +38,6 @@ constexpr float kInfinity = std::numeric_limits<float>::infinity();
 constexpr float kMargin = 0x1p-20f;
 /// Of the sum of a volume's terms without their signs; their rounding is half of it.
 constexpr float kRounding = 0x1p-20f;
-
-HWY_INLINE std::uint32_t bitsOf(Floats d, Mask mask) {
-    std::uint8_t bytes[8] = {};
-    hn::StoreMaskBits(d, mask, bytes);
-    return bytes[0] | std::uint32_t(bytes[1]) << 8;
-}
-
-HWY_INLINE Mask maskOf(Floats d, std::uint32_t bits) {
-    const std::uint8_t bytes[8] = {std::uint8_t(bits), std::uint8_t(bits >> 8)};
-    return hn::LoadMaskBits(d, bytes);
-}
-
-/// A point or a direction for each lane.
-struct Vec3 {
-    Vec x, y, z;
-};
-
-HWY_INLINE Vec3 add(const Vec3& a, const Vec3& b) {
-    return {hn::Add(a.x, b.x), hn::Add(a.y, b.y), hn::Add(a.z, b.z)};
-}
-
-HWY_INLINE Vec3 subtract(const Vec3& a, const Vec3& b) {
-    return {hn::Sub(a.x, b.x), hn::Sub(a.y, b.y), hn::Sub(a.z, b.z)};
-}
-
-HWY_INLINE Vec dot(const Vec3& a, const Vec3& b) {
-    return hn::Add(hn::Add(hn::Mul(a.x, b.x), hn::Mul(a.y, b.y)), hn::Mul(a.z, b.z));
-}
-
-HWY_INLINE Vec3 cross(const Vec3& a, const Vec3& b) {
-    return {hn::Sub(hn::Mul(a.y, b.z), hn::Mul(a.z, b.y)),
-            hn::Sub(hn::Mul(a.z, b.x), hn::Mul(a.x, b.z)),
-            hn::Sub(hn::Mul(a.x, b.y), hn::Mul(a.y, b.x))};
-}
 
 /// What cross(a, b) is summed up from, without signs.
 HWY_INLINE Vec3 crossTerms(const Vec3& a, const Vec3& b) {
@@ -93,10 +54,6 @@ HWY_INLINE Vec3 abs(const Vec3& a) {
 
 HWY_INLINE Vec3 max(const Vec3& a, const Vec3& b) {
     return {hn::Max(a.x, b.x), hn::Max(a.y, b.y), hn::Max(a.z, b.z)};
-}
-
-HWY_INLINE Vec3 broadcast(Floats d, const float (&p)[3]) {
-    return {hn::Set(d, p[0]), hn::Set(d, p[1]), hn::Set(d, p[2])};
 }
 
 struct Box {
@@ -129,7 +86,7 @@ std::uint32_t overlapping(const NearBoxes& boxes, const Box& box) {
             overlap = hn::And(overlap, hn::Ge(hn::LoadU(d, boxes.high[axis] + i),
                                               hn::Set(d, box.low[axis])));
         }
-        found |= bitsOf(d, overlap) << i;
+        found |= bitsOf(overlap) << i;
     }
     return found;
 }
@@ -184,7 +141,7 @@ struct SeenTriangles {
                 return Vec3{hn::Load(d, p[0] + t), hn::Load(d, p[1] + t),
                             hn::Load(d, p[2] + t)};
             };
-            const Vec3 origin = broadcast(d, start);
+            const Vec3 origin = broadcast(start);
             Vec3 corners[3], edges[3];
             for (int c = 0; c < 3; ++c)
                 corners[c] = load(triangles.corner[c]);
@@ -374,7 +331,7 @@ void Walk::findLanes(const NearBoxes& boxes, std::uint32_t children, int k,
             const Vec far = hn::IfThenElse(hn::Lt(normal[axis], zero), boxLow, boxHigh);
             above = hn::Add(above, hn::Mul(normal[axis], hn::Sub(far, start[axis])));
         }
-        lanes[i] |= bitsOf(d, hn::And(may, hn::Gt(above, height))) << k;
+        lanes[i] |= bitsOf(hn::And(may, hn::Gt(above, height))) << k;
     }
 }
 
@@ -424,7 +381,7 @@ std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
             }
             may = hn::And(may, hn::Gt(highest, hn::Set(d, height_)));
         }
-        found |= bitsOf(d, may) << t;
+        found |= bitsOf(may) << t;
     }
     return found;
 }
@@ -462,8 +419,7 @@ void Walk::cross(int lane, const SeenTriangles& seen, int t, const Box& box) {
                 hn::Gt(towards, hn::Mul(rate, hn::Load(d, rays_.begin[row] + k)));
             const Mask before =
                 hn::Le(towards, hn::Mul(rate, hn::Load(d, end_[row] + k)));
-            std::uint32_t hits =
-                open & bitsOf(d, hn::And(through, hn::And(behind, before)));
+            std::uint32_t hits = open & bitsOf(hn::And(through, hn::And(behind, before)));
             for (; hits; hits &= hits - 1) {
                 const int i = k + std::countr_zero(hits);
                 if (!boxOf(lane, row, i).overlaps(box)) continue;

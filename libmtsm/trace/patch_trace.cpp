@@ -6,37 +6,21 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <cstring>
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "trace/patch_trace.cpp"
 #define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
+#include "trace/lanes-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace mtsm::trace::HWY_NAMESPACE {
-namespace hn = hwy::HWY_NAMESPACE;
 
-// Sixteen lanes, in as many vectors as the target needs for them.
-using Floats = hn::CappedTag<float, kLanes>;
-using Ints = hn::RebindToSigned<Floats>;
-using Vec = hn::Vec<Floats>;
 using VecI = hn::Vec<Ints>;
 constexpr Floats kF;
 constexpr Ints kI;
 constexpr int kN = int(hn::MaxLanes(kF));
-
-HWY_INLINE std::uint32_t bitsOf(hn::Mask<Floats> mask) {
-    std::uint8_t bytes[8] = {};
-    hn::StoreMaskBits(kF, mask, bytes);
-    std::uint16_t bits;
-    std::memcpy(&bits, bytes, sizeof bits);
-    return bits & ((1u << kN) - 1);
-}
-HWY_INLINE std::uint32_t bitsOf(hn::Mask<Ints> mask) {
-    return bitsOf(hn::RebindMask(kF, mask));
-}
 
 /// Part number i of the same field of four groups, one part being what a vector holds.
 template <typename D>
@@ -90,15 +74,6 @@ class Queue {
     Waiting waiting_[kSize];
     std::uint32_t first_ = 0, last_ = 0;
 };
-
-/// 1 / x but for the last bit or two.
-HWY_INLINE Vec reciprocal(Vec x) {
-    Vec guess = hn::ApproximateReciprocal(x);
-#if HWY_TARGET == HWY_NEON  // starts from 8 bits
-    guess = hn::Mul(guess, hn::NegMulAdd(x, guess, hn::Set(kF, 2.0f)));
-#endif
-    return hn::Mul(guess, hn::NegMulAdd(x, guess, hn::Set(kF, 2.0f)));
-}
 
 constexpr int field(int i) {
     return 4 * i;
@@ -381,13 +356,6 @@ class Traversal {
 
     // --- rays
     // ------------------------------------------------------------------------------
-
-    static hn::Mask<Floats> maskOf(std::uint32_t bits, int i) {
-        std::uint8_t bytes[8] = {};
-        const auto part = std::uint16_t(bits >> i);
-        std::memcpy(bytes, &part, sizeof part);
-        return hn::LoadMaskBits(kF, bytes);
-    }
 
     /// As many rays of one receiver as fill a vector.
     struct Batch {

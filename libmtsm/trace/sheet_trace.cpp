@@ -24,17 +24,12 @@
 #define HWY_TARGET_INCLUDE "trace/sheet_trace.cpp"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
+#include "trace/lanes-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace mtsm::trace {
 namespace HWY_NAMESPACE {
 namespace {
-
-namespace hn = hwy::HWY_NAMESPACE;
-
-using Floats = hn::CappedTag<float, kLanes>;
-using Vec = hn::Vec<Floats>;
-using Mask = hn::Mask<Floats>;
 
 constexpr int kTriangles = NearChunk::kTriangles;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
@@ -42,40 +37,6 @@ constexpr float kInfinity = std::numeric_limits<float>::infinity();
 constexpr float kOwnMargin = 0x1p-20f;
 /// The same of what passes boxes over; more than that and the rounding of both.
 constexpr float kMargin = 0x1p-18f;
-
-HWY_INLINE std::uint32_t bitsOf(Floats d, Mask mask) {
-    std::uint8_t bytes[8] = {};
-    hn::StoreMaskBits(d, mask, bytes);
-    return bytes[0] | std::uint32_t(bytes[1]) << 8;
-}
-
-HWY_INLINE Mask maskOf(Floats d, std::uint32_t bits) {
-    const std::uint8_t bytes[8] = {std::uint8_t(bits), std::uint8_t(bits >> 8)};
-    return hn::LoadMaskBits(d, bytes);
-}
-
-/// A point or a direction for each lane.
-struct Vec3 {
-    Vec x, y, z;
-};
-
-HWY_INLINE Vec3 add(const Vec3& a, const Vec3& b) {
-    return {hn::Add(a.x, b.x), hn::Add(a.y, b.y), hn::Add(a.z, b.z)};
-}
-
-HWY_INLINE Vec3 subtract(const Vec3& a, const Vec3& b) {
-    return {hn::Sub(a.x, b.x), hn::Sub(a.y, b.y), hn::Sub(a.z, b.z)};
-}
-
-HWY_INLINE Vec dot(const Vec3& a, const Vec3& b) {
-    return hn::Add(hn::Add(hn::Mul(a.x, b.x), hn::Mul(a.y, b.y)), hn::Mul(a.z, b.z));
-}
-
-HWY_INLINE Vec3 cross(const Vec3& a, const Vec3& b) {
-    return {hn::Sub(hn::Mul(a.y, b.z), hn::Mul(a.z, b.y)),
-            hn::Sub(hn::Mul(a.z, b.x), hn::Mul(a.x, b.z)),
-            hn::Sub(hn::Mul(a.x, b.y), hn::Mul(a.y, b.x))};
-}
 
 /// Slopes of rays, pixels per w, from the least to the most; the same in every lane or of
 /// another receiver in each.
@@ -207,7 +168,7 @@ struct SeenTriangles {
                 above = hn::Or(above, hn::Gt(least, rounding));
                 below = hn::Or(below, hn::Lt(most, hn::Neg(rounding)));
             }
-            found |= bitsOf(d, hn::Not(hn::And(above, below))) << t;
+            found |= bitsOf(hn::Not(hn::And(above, below))) << t;
         }
         return found & 0xffff;
     }
@@ -413,7 +374,7 @@ std::uint32_t Walk::childrenFor(const NearBoxes& boxes) const {
         const Vec3 low = load(boxes.low), high = load(boxes.high);
         Mask may = hn::Le(low.x, high.x);
         if (wide_ == 0) may = hn::And(may, hull.reaches(d, low, high));
-        found |= bitsOf(d, may) << i;
+        found |= bitsOf(may) << i;
     }
     return found;
 }
@@ -443,8 +404,8 @@ std::uint32_t Walk::lanesAt(const Vec3& low, const Vec3& high) const {
                                          hn::Ge(load(wideHigh_[1]), low.y)));
             near = hn::And(near, hn::And(hn::Le(load(wideLow_[2]), high.z),
                                          hn::Ge(load(wideHigh_[2]), low.z)));
-            may = hn::Or(hn::And(near, maskOf(d, wide_ >> k)),
-                         hn::AndNot(maskOf(d, wide_ >> k), may));
+            may = hn::Or(hn::And(near, maskOf(wide_ >> k)),
+                         hn::AndNot(maskOf(wide_ >> k), may));
         }
         if (rays_.hasPlanes) {
             const auto higher = [&](Vec n, Vec start, Vec from, Vec to) {
@@ -457,7 +418,7 @@ std::uint32_t Walk::lanesAt(const Vec3& low, const Vec3& high) const {
                         higher(load(rays_.planeW), w, low.z, high.z));
             may = hn::And(may, hn::Gt(height, hn::Set(d, options_.height)));
         }
-        lanes |= bitsOf(d, may) << k;
+        lanes |= bitsOf(may) << k;
     }
     return lanes;
 }
@@ -502,7 +463,7 @@ std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
             }
             may = hn::And(may, hn::Gt(highest, hn::Set(d, options_.height)));
         }
-        found |= bitsOf(d, may) << t;
+        found |= bitsOf(may) << t;
     }
     return found;
 }
@@ -559,7 +520,7 @@ void Walk::cross(int row, const SeenTriangles& seen, const Triangles& triangles,
                    hn::Lt(hn::Max(hn::Max(e[0], e[1]), e[2]), hn::Zero(d)));
         if (hn::AllFalse(d, through)) continue;
         const Vec s = hn::Div(distance, dot(delta, normal));
-        Mask hits = hn::And(through, maskOf(d, std::uint32_t(rays_.open[row]) >> k));
+        Mask hits = hn::And(through, maskOf(std::uint32_t(rays_.open[row]) >> k));
         hits = hn::And(hits, hn::Gt(s, hn::Load(d, rays_.begin[row] + k)));
         hits = hn::And(hits, hn::Le(s, hn::Load(d, end_[row] + k)));
         const auto inside = [&](float from, Vec way, const float(&low)[kTriangles],
@@ -584,7 +545,7 @@ void Walk::cross(int row, const SeenTriangles& seen, const Triangles& triangles,
         visible = hn::IfThenElse(hits, hn::Mul(visible, passes), visible);
         hn::Store(visible, d, visible_[row] + k);
         const std::uint32_t dark =
-            bitsOf(d, hn::And(hits, hn::Le(visible, hn::Set(d, options_.dark))));
+            bitsOf(hn::And(hits, hn::Le(visible, hn::Set(d, options_.dark))));
         rays_.open[row] = std::uint16_t(rays_.open[row] & ~(dark << k));
     }
 }
