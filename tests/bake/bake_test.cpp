@@ -11,28 +11,19 @@
 #include <limits>
 #include <optional>
 
+#include "bake/baked.h"
 #include "bake/casters.h"
 
 using namespace mtsm;
 using mtsm::test::Casters;
 using mtsm::test::Mesh;
+using mtsm::test::mustBake;
 using mtsm::test::Random;
 
 namespace {
 
 BakeOptions lamp() {
-    BakeOptions o;
-    o.light.shape = LightShape::disk;
-    o.light.position = {0, 4, 0};
-    o.light.radius = 0.3;
-    o.width = o.height = 64;
-    return o;
-}
-
-Baked mustBake(CasterSource& casters, const BakeOptions& options) {
-    auto baked = bake(casters, options);
-    if (!baked) FAIL(baked.error().message);
-    return *std::move(baked);
+    return test::diskAbove(64);
 }
 
 /// A square at height y that faces up, two triangles.

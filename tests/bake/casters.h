@@ -7,10 +7,10 @@
 #include <glm/geometric.hpp>
 #include <glm/mat4x4.hpp>
 #include <glm/vec3.hpp>
-#include <random>
 #include <vector>
 
 #include "mtsm/scene.h"
+#include "random.h"
 
 namespace mtsm::test {
 
@@ -56,23 +56,6 @@ class Casters final : public CasterSource {
 
     std::vector<Mesh> meshes;
     int visits = 0;
-};
-
-/// The same numbers on every machine.
-class Random {
-  public:
-    explicit Random(std::uint64_t seed) : engine_(seed) {}
-    double unit() { return double(engine_() >> 11) * 0x1p-53; }
-    double in(double low, double high) { return low + (high - low) * unit(); }
-    std::size_t below(std::size_t n) { return std::size_t(engine_() % n); }
-    template <typename T>
-    void shuffle(std::vector<T>& v) {
-        for (std::size_t i = v.size(); i > 1; --i)
-            std::swap(v[i - 1], v[below(i)]);
-    }
-
-  private:
-    std::mt19937_64 engine_;
 };
 
 /// A closed bumpy ball around the origin, radius about 1: a cube of 6 n^2 quads, blown

@@ -3,6 +3,7 @@
 #include <limits>
 #include <stdexcept>
 
+#include "bake/baked.h"
 #include "bake/casters.h"
 #include "mtsm/bake.h"
 
@@ -19,12 +20,7 @@ Mesh square() {
 }
 
 BakeOptions lamp() {
-    BakeOptions o;
-    o.light.shape = LightShape::disk;
-    o.light.position = {0, 4, 0};
-    o.light.radius = 0.3;
-    o.width = o.height = 32;
-    return o;
+    return test::diskAbove(32);
 }
 
 template <typename Change>

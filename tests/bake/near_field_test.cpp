@@ -12,6 +12,7 @@
 #include <optional>
 #include <set>
 
+#include "bake/baked.h"
 #include "bake/casters.h"
 #include "bake/hilbert.h"
 #include "bake/near_chunks.h"
@@ -21,6 +22,7 @@
 using namespace mtsm;
 using mtsm::test::Casters;
 using mtsm::test::Mesh;
+using mtsm::test::mustBake;
 using mtsm::test::Random;
 
 namespace {
@@ -28,19 +30,9 @@ namespace {
 using Triangle = std::array<glm::dvec3, 3>;
 
 BakeOptions lamp() {
-    BakeOptions o;
-    o.light.shape = LightShape::disk;
-    o.light.position = {0, 4, 0};
-    o.light.radius = 0.3;
-    o.width = o.height = 64;
+    BakeOptions o = test::diskAbove(64);
     o.nearField = kAutomaticNearField;
     return o;
-}
-
-Baked mustBake(CasterSource& casters, const BakeOptions& options) {
-    auto baked = bake(casters, options);
-    if (!baked) FAIL(baked.error().message);
-    return *std::move(baked);
 }
 
 /// A world point in straight space, by the definition.

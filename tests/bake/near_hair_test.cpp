@@ -11,11 +11,13 @@
 #include <glm/gtc/matrix_transform.hpp>
 #include <vector>
 
+#include "bake/baked.h"
 #include "bake/casters.h"
 #include "mtsm/bake.h"
 #include "mtsm/shadow.h"
 
 using namespace mtsm;
+using mtsm::test::mustBake;
 using mtsm::test::Random;
 
 namespace {
@@ -63,20 +65,9 @@ Hair randomHair(int strands) {
 }
 
 BakeOptions lamp() {
-    BakeOptions o;
-    o.light.shape = LightShape::disk;
-    o.light.position = {0, 4, 0};
-    o.light.radius = 0.3;
-    o.width = o.height = 64;
+    BakeOptions o = test::diskAbove(64);
     o.nearField = kAutomaticNearField;
     return o;
-}
-
-Baked mustBake(std::vector<CasterView> views, const BakeOptions& options) {
-    CasterViews casters(std::move(views));
-    auto baked = bake(casters, options);
-    if (!baked) FAIL(baked.error().message);
-    return *std::move(baked);
 }
 
 struct Segment {

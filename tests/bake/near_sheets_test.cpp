@@ -5,11 +5,13 @@
 #include <limits>
 #include <vector>
 
+#include "bake/baked.h"
 #include "bake/casters.h"
 #include "mtsm/bake.h"
 #include "mtsm/shadow.h"
 
 using namespace mtsm;
+using mtsm::test::mustBake;
 
 namespace {
 
@@ -53,13 +55,6 @@ BakeOptions lamp(bool sun) {
     o.width = o.height = 64;
     o.nearField = kAutomaticNearField;
     return o;
-}
-
-Baked mustBake(std::vector<CasterView> views, const BakeOptions& options) {
-    CasterViews casters(std::move(views));
-    auto baked = bake(casters, options);
-    REQUIRE(baked);
-    return *std::move(baked);
 }
 
 }  // namespace

@@ -17,8 +17,10 @@
 #include "mtsm/bake.h"
 #include "mtsm/scene.h"
 #include "mtsm/shadow.h"
+#include "random.h"
 
 using namespace mtsm;
+using test::Random;
 
 namespace {
 
@@ -83,18 +85,6 @@ struct Points {
             some.add(at[i], normal[i]);
         return some;
     }
-};
-
-class Random {
-  public:
-    explicit Random(std::uint64_t seed) : engine_(seed) {}
-    double in(double low, double high) {
-        return low + (high - low) * double(engine_() >> 11) * 0x1p-53;
-    }
-    std::size_t below(std::size_t n) { return std::size_t(engine_() % n); }
-
-  private:
-    std::mt19937_64 engine_;
 };
 
 Points onFloor(Random& random, int count) {

@@ -13,29 +13,15 @@
 #include "map_fixture.h"
 #include "mtsm/bake.h"
 #include "mtsm/shadow.h"
+#include "random.h"
 
 using namespace mtsm;
 using test::cubeProjections;
 using test::mapOf;
+using test::Random;
 using test::TestLayer;
 
 namespace {
-
-class Random {
-  public:
-    explicit Random(std::uint64_t seed) : engine_(seed) {}
-    double in(double low, double high) {
-        return low + (high - low) * double(engine_() >> 11) * 0x1p-53;
-    }
-    glm::dvec3 within(double half) {
-        const double x = in(-half, half), y = in(-half, half), z = in(-half, half);
-        return {x, y, z};
-    }
-    std::size_t below(std::size_t n) { return std::size_t(engine_() % n); }
-
-  private:
-    std::mt19937_64 engine_;
-};
 
 double largest(glm::dvec3 p) {
     return std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});

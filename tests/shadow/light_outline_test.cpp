@@ -11,30 +11,14 @@
 #include <vector>
 
 #include "light/sample.h"
+#include "random.h"
 
 using namespace mtsm;
 using shadow::Outlook;
 using shadow::Receiver;
+using test::Random;
 
 namespace {
-
-class Random {
-  public:
-    explicit Random(std::uint64_t seed) : engine_(seed) {}
-    double in(double low, double high) {
-        return low + (high - low) * double(engine_() >> 11) * 0x1p-53;
-    }
-    glm::dvec3 direction() {
-        for (;;) {
-            const glm::dvec3 d(in(-1, 1), in(-1, 1), in(-1, 1));
-            const double length = glm::length(d);
-            if (length > 0.1 && length < 1.0) return d / length;
-        }
-    }
-
-  private:
-    std::mt19937_64 engine_;
-};
 
 constexpr LightShape kShapes[] = {LightShape::point, LightShape::disk, LightShape::rect,
                                   LightShape::sphere, LightShape::sun};

@@ -11,30 +11,16 @@
 
 #include "map_fixture.h"
 #include "mtsm/shadow.h"
+#include "random.h"
 
 using namespace mtsm;
 using test::cubeProjections;
 using test::mapOf;
 using test::plainProjection;
+using test::Random;
 using test::TestLayer;
 
 namespace {
-
-class Random {
-  public:
-    explicit Random(std::uint64_t seed) : engine_(seed) {}
-    double in(double low, double high) {
-        return low + (high - low) * double(engine_() >> 11) * 0x1p-53;
-    }
-    glm::dvec3 within(double half) {
-        const double x = in(-half, half), y = in(-half, half), z = in(-half, half);
-        return {x, y, z};
-    }
-    std::size_t below(std::size_t n) { return std::size_t(engine_() % n); }
-
-  private:
-    std::mt19937_64 engine_;
-};
 
 ShadowRay rayFrom(glm::dvec3 from, glm::dvec3 to) {
     const double length = glm::length(to - from);

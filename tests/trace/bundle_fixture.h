@@ -3,25 +3,16 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <glm/geometric.hpp>
+#include <glm/vec2.hpp>
 #include <glm/vec3.hpp>
-#include <random>
+#include <memory>
 #include <vector>
 
+#include "random.h"
 #include "trace/bundle.h"
 
 namespace mtsm::test {
-
-class Random {
-  public:
-    explicit Random(std::uint64_t seed) : engine_(seed) {}
-    double in(double low, double high) {
-        return low + (high - low) * double(engine_() >> 11) * 0x1p-53;
-    }
-    std::size_t below(std::size_t n) { return std::size_t(engine_() % n); }
-
-  private:
-    std::mt19937_64 engine_;
-};
 
 /// A bundle by its rays' starts and ways in straight space, all open; bound() says the
 /// rest.
@@ -176,5 +167,31 @@ struct Rays {
         bundle.groupHighV[group] = higher(bounds.highV);
     }
 };
+
+/// Rays from around a point to around others.
+inline std::unique_ptr<Rays> raysAround(Random& random, int receivers, int groups,
+                                        glm::dvec3 from, double spread,
+                                        glm::dvec3 reach) {
+    auto rays = std::make_unique<Rays>(receivers, groups);
+    const auto around = [&](glm::dvec3 p, double by) {
+        return p + by * glm::dvec3(random.in(-1, 1), random.in(-1, 1),
+                                   random.in(-0x1p-12, 0x1p-12));
+    };
+    for (int receiver = 0; receiver < receivers; ++receiver)
+        rays->setStart(receiver, around(from, spread));
+    for (int group = 0; group < groups; ++group) {
+        const glm::dvec3 part = around(reach, 0.5 * glm::length(glm::dvec2(reach)));
+        for (int receiver = 0; receiver < receivers; ++receiver) {
+            const int row = rays->bundle.row(receiver, group);
+            for (int lane = 0; lane < trace::kLanes; ++lane) {
+                rays->setDelta(row, lane, around(part, spread));
+                rays->bundle.begin[row][lane] = float(random.in(0, 0.2));
+                rays->end[row][lane] = float(random.in(0.3, 1));
+            }
+        }
+    }
+    rays->boundEnds();
+    return rays;
+}
 
 }  // namespace mtsm::test

@@ -24,6 +24,7 @@
 using namespace mtsm;
 using test::onEachTarget;
 using test::Random;
+using test::raysAround;
 using trace::kLanes;
 using trace::kMostRows;
 
@@ -207,30 +208,6 @@ std::vector<Sheet> scattered(Random& random, std::size_t count, double size) {
         return key(a) < key(b);
     });
     return sheets;
-}
-
-std::unique_ptr<test::Rays> raysAround(Random& random, int receivers, int groups,
-                                       glm::dvec3 from, double spread, glm::dvec3 reach) {
-    auto rays = std::make_unique<test::Rays>(receivers, groups);
-    const auto around = [&](glm::dvec3 p, double by) {
-        return p + by * glm::dvec3(random.in(-1, 1), random.in(-1, 1),
-                                   random.in(-0x1p-12, 0x1p-12));
-    };
-    for (int receiver = 0; receiver < receivers; ++receiver)
-        rays->setStart(receiver, around(from, spread));
-    for (int group = 0; group < groups; ++group) {
-        const glm::dvec3 part = around(reach, 0.5 * glm::length(glm::dvec2(reach)));
-        for (int receiver = 0; receiver < receivers; ++receiver) {
-            const int row = rays->bundle.row(receiver, group);
-            for (int lane = 0; lane < kLanes; ++lane) {
-                rays->setDelta(row, lane, around(part, spread));
-                rays->bundle.begin[row][lane] = float(random.in(0, 0.2));
-                rays->end[row][lane] = float(random.in(0.3, 1));
-            }
-        }
-    }
-    rays->boundEnds();
-    return rays;
 }
 
 struct Visible {
