@@ -1,6 +1,7 @@
 // lazy.h - something made when it is first asked for, once, by whichever thread comes
 // first; the others wait.
 #pragma once
+#include <atomic>
 #include <memory>
 #include <mutex>
 
@@ -13,24 +14,31 @@ namespace mtsm::base {
 /// Holds one object of any type.
 class Lazy {
   public:
-    /// make() returns the object, by value, the first time; T must not change.
+    /// make() returns the object, by value, the first time; T must not change. If make()
+    /// throws, nothing is held and the next one tries again. (Not std::call_once: under
+    /// the thread sanitizer one that throws is never free again.)
     template <typename T, typename Make>
     const T& get(const Make& make) {
-        std::call_once(once_, [&] {
-            const auto hold = [&] { held_ = std::make_shared<const T>(make()); };
+        if (!made_.load(std::memory_order_acquire)) {
+            const std::lock_guard<std::mutex> lock(mutex_);
+            if (!made_.load(std::memory_order_relaxed)) {
+                const auto hold = [&] { held_ = std::make_shared<const T>(make()); };
 #if defined(__SANITIZE_THREAD__)
-            hold();
+                hold();
 #else
-            // A thread that waits for its own loops in make() must not take up other work,
-            // which might come back here.
-            tbb::this_task_arena::isolate(hold);
+                // A thread that waits for its own loops in make() must not take up other
+                // work, which might come back here.
+                tbb::this_task_arena::isolate(hold);
 #endif
-        });
+                made_.store(true, std::memory_order_release);
+            }
+        }
         return *static_cast<const T*>(held_.get());
     }
 
   private:
-    std::once_flag once_;
+    std::mutex mutex_;
+    std::atomic<bool> made_{false};
     std::shared_ptr<const void> held_;
 };
 

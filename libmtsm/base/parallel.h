@@ -8,9 +8,9 @@
 #pragma once
 #if defined(__SANITIZE_THREAD__)
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <thread>
-#include <vector>
 #else
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
@@ -24,17 +24,24 @@ namespace mtsm::base {
 template <typename Index, typename Body>
 void parallelRanges(Index first, Index last, Index grain, const Body& body) {
 #if defined(__SANITIZE_THREAD__)
-    constexpr int kThreads = 4;
     std::atomic<Index> next{first};
-    std::vector<std::thread> threads;
-    for (int i = 0; i < kThreads; ++i) {
-        threads.emplace_back([&] {
-            for (Index begin; (begin = next.fetch_add(grain)) < last;)
-                body(begin, std::min(last, begin + grain));
-        });
+    std::array<std::thread, 4> threads;
+    const auto join = [&] {
+        for (std::thread& thread : threads)
+            if (thread.joinable()) thread.join();
+    };
+    try {
+        for (std::thread& thread : threads) {
+            thread = std::thread([&] {
+                for (Index begin; (begin = next.fetch_add(grain)) < last;)
+                    body(begin, std::min(last, begin + grain));
+            });
+        }
+    } catch (...) {  // no memory for a thread
+        join();
+        throw;
     }
-    for (std::thread& thread : threads)
-        thread.join();
+    join();
 #else
     tbb::task_group_context ours(tbb::task_group_context::isolated);
     tbb::parallel_for(
