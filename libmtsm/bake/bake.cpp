@@ -188,6 +188,9 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
         info.attributes.push_back({"hiddenLayers", std::int64_t(report.droppedHidden)});
     if (settings.rounding > 0.0f)
         info.attributes.push_back({"rounding", std::vector<double>{settings.rounding}});
+    // Of nothing but volumes what is close to a receiver is not its own.
+    if (report.volumes > 0 && report.strands == 0 && report.meshes == 0)
+        info.attributes.push_back({"mediaStart", std::vector<double>{0.0}});
     if (info.toleranceReached <= info.toleranceAsked)  // unless the cap took more
         info.toleranceReached =
             std::min(info.toleranceReached + roundingError, info.toleranceAsked);

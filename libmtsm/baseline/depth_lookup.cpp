@@ -96,7 +96,8 @@ float DepthLookup::deepVisibility(const LookupReceiver& receiver, const MapPlace
     double surfaceStart = 0.0, mediaStart = 0.0;
     if (!receiver.hasNormal) {
         surfaceStart = shadow::kStartBiases * bias_.at(at.z);
-        mediaStart = shadow::kMediaStart * map_.projection(at.face).pixelFootprint(at.z);
+        mediaStart =
+            shadow::mediaStartOf(map_) * map_.projection(at.face).pixelFootprint(at.z);
     }
     inFront.zEnter = at.z - surfaceStart;
     trace::TraceOptions options;

@@ -26,7 +26,7 @@ constexpr double kNearHeight = 0.01;
 constexpr double kNearStart = 0.1;
 /// Beside hair it answers until the light, from where the ray is, is so many pixels wide
 /// through the receiver; for at most and at least so many footprints of depth.
-constexpr double kHairWidth = 2.0;
+constexpr double kHairWidth = 3.0;
 constexpr double kHairMost = 256.0, kHairLeast = 2.0;
 /// Strands begin to count so many footprints above a receiver without a normal: its own
 /// strand is thinner.
@@ -110,7 +110,7 @@ bool BundleQuery::serves(const ShadowMap& map, const AreaLight& light,
                          const ShadowOptions& options) {
     if (options.method != ShadowMethod::trace) return false;
     if (map.faceCount() > 1 && light.shape == LightShape::sun) return false;
-    return hasTrees(map, options.attenuation);
+    return hasTrees(map, options.attenuation, trace::DensityUse::receivers);
 }
 
 BundleQuery::Face::Face(const ShadowMap& map, std::uint32_t number, ZRange reach,
@@ -131,7 +131,7 @@ BundleQuery::Face::Face(const ShadowMap& map, std::uint32_t number, ZRange reach
     if (map.isOpaque())
         patches = &(*trace::patchTrees(map))[number];
     else
-        density = &(*trace::densityTrees(map))[number];
+        density = &(*trace::densityTrees(map, trace::DensityUse::receivers))[number];
     const light::LightView seen = light.view(projection.eye + projection.forward);
     axisX = turn * seen.x, axisY = turn * seen.y, axisZ = turn * seen.z;
     base = turn * seen.base;
@@ -152,6 +152,7 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
       bias_(biasOf(map, options.bias)),
       opaque_(map.isOpaque()),
       media_(map.info().translucent == Translucent::media),
+      mediaStart_(mediaStartOf(map)),
       samples_(light_.isPoint()
                    ? 1u
                    : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples))),
@@ -326,7 +327,7 @@ void BundleQuery::setLane(const Face& face, const Receiver& receiver, int lane,
                              : std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
     lanes.surfaceStart[lane] = float(kStartBiases * bias_.at(depth));
     lanes.mediaStart[lane] =
-        media_ ? float(kMediaStart * face.projection.pixelFootprint(depth))
+        media_ ? float(mediaStart_ * face.projection.pixelFootprint(depth))
                : lanes.surfaceStart[lane];
     lanes.key[lane] = keyOf(receiver);
 }

@@ -151,6 +151,7 @@ class BundleQuery {
     ShadowOptions options_;
     trace::ZBias bias_;
     bool opaque_, media_;
+    double mediaStart_;
     std::uint32_t samples_;
     SampleSteps steps_;
     bool errors_;     // do they matter?

@@ -4,7 +4,6 @@
 #include <glm/geometric.hpp>
 
 #include "shadow/query.h"
-#include "trace/density_tree.h"
 #include "trace/patch_tree.h"
 
 namespace mtsm::shadow {
@@ -46,11 +45,11 @@ bool isCube(const ShadowMap& map) {
 
 }  // namespace
 
-bool hasTrees(const ShadowMap& map, Attenuation attenuation) {
+bool hasTrees(const ShadowMap& map, Attenuation attenuation, trace::DensityUse use) {
     if (map.layerCount() == 0 || map.layerCount() > kMostLayers) return false;
     if (map.faceCount() > 1 && !isCube(map)) return false;
     if (map.isOpaque()) return trace::patchTrees(map);
-    return attenuation == Attenuation::multiply && trace::densityTrees(map);
+    return attenuation == Attenuation::multiply && trace::densityTrees(map, use);
 }
 
 ZRange depthsOf(const ShadowMap& map, std::uint32_t face, float asked) noexcept {

@@ -4,6 +4,7 @@
 
 #include "mtsm/map.h"
 #include "mtsm/shadow.h"
+#include "trace/density_tree.h"
 
 namespace mtsm::shadow {
 
@@ -14,7 +15,8 @@ inline constexpr double kNearDepth = 32.0;
 /// Can rays go through trees over the map's layers? It has some, not too many, and one
 /// face or six that share out space with windows of 90 degrees; and there is memory.
 /// Makes the trees.
-[[nodiscard]] bool hasTrees(const ShadowMap& map, Attenuation attenuation);
+[[nodiscard]] bool hasTrees(const ShadowMap& map, Attenuation attenuation,
+                            trace::DensityUse use);
 
 /// Depths within which rays of a face may meet something; of one without layers, those
 /// of all faces. `bias`: as asked for.

@@ -20,6 +20,16 @@ double thresholdOf(float asked) noexcept {
     return asked >= 0.0f ? std::min(asked, std::nextafter(1.0f, 0.0f)) : 0.0;
 }
 
+double mediaStartOf(const ShadowMap& map) noexcept {
+    for (const Attribute& attribute : map.info().attributes) {
+        const auto* value = std::get_if<std::vector<double>>(&attribute.value);
+        if (attribute.name == "mediaStart" && value && value->size() == 1 &&
+            value->front() >= 0.0)
+            return std::min(value->front(), kMediaStart);
+    }
+    return kMediaStart;
+}
+
 Query::Query(const ShadowMap& map, const AreaLight& light, const ShadowOptions& options,
              bool errors) noexcept
     : map_(map),
@@ -27,6 +37,7 @@ Query::Query(const ShadowMap& map, const AreaLight& light, const ShadowOptions& 
       options_(options),
       bias_(biasOf(map, options.bias)),
       media_(map.info().translucent == Translucent::media),
+      mediaStart_(mediaStartOf(map)),
       errors_(errors) {
     const auto samples = light_.isPoint()
                              ? 1u
@@ -70,7 +81,7 @@ Query::Receiver Query::receiverAt(glm::dvec3 point, glm::dvec3 normal) const noe
     const Projection& p = map_.projection(receiver.face);
     const double z = glm::dot(p.forward, point - p.eye);
     receiver.surfaceStart = kStartBiases * bias_.at(z);
-    receiver.mediaStart = kMediaStart * p.pixelFootprint(std::abs(z));
+    receiver.mediaStart = mediaStart_ * p.pixelFootprint(std::abs(z));
     const glm::dvec3 unit = unitNormal(normal);
     receiver.hasNormal = unit != glm::dvec3(0.0);
     if (receiver.hasNormal) receiver.plane = {point, unit, kPlaneHeight};

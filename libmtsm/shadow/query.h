@@ -22,8 +22,11 @@ inline constexpr double kPlaneHeight = 0.3;
 inline constexpr double kStartBiases = 5.0;
 /// The same for layers of media, which have no bias, in pixel footprints at the receiver.
 /// Prototypes had the least error on hair between 0.3 (thin strands) and 1 (layers of
-/// several samples), and light that leaked beyond.
+/// several samples), and light that leaked beyond. A map may ask for less: in one of
+/// volumes alone nothing is the receiver's own.
 inline constexpr double kMediaStart = 1.0;
+/// What the map's attribute "mediaStart" says, if it is one number from 0 to kMediaStart.
+[[nodiscard]] double mediaStartOf(const ShadowMap& map) noexcept;
 
 /// What a map's layers are thickened by, unless the query says otherwise (`asked` >= 0).
 [[nodiscard]] trace::ZBias biasOf(const ShadowMap& map, float asked) noexcept;
@@ -95,8 +98,9 @@ class Query {
     light::LightSampler light_;
     ShadowOptions options_;
     trace::ZBias bias_;
-    bool media_;   // does the map hold media?
-    bool errors_;  // do answers have them?
+    bool media_;         // does the map hold media?
+    double mediaStart_;  // footprints
+    bool errors_;        // do answers have them?
     SampleSteps steps_;
 };
 

@@ -94,7 +94,7 @@ void order(RayQuery::Piece* pieces, std::size_t count) {
 bool RayQuery::serves(const ShadowMap& map, const RayOptions& options) {
     if (options.method != ShadowMethod::trace) return false;
     if (map.isOpaque() && !(options.spread > 0.0f)) return false;
-    return hasTrees(map, options.attenuation);
+    return hasTrees(map, options.attenuation, trace::DensityUse::rays);
 }
 
 RayQuery::RayQuery(const ShadowMap& map, const RayOptions& options) noexcept
@@ -129,7 +129,9 @@ RayQuery::RayQuery(const ShadowMap& map, const RayOptions& options) noexcept
         face.spreadConstant = perspective ? 0.0f : spread;
         face.highest = float(perspective ? 1.0 / face.nearest : -face.nearest);
         face.patches = map.isOpaque() ? &(*trace::patchTrees(map))[f] : nullptr;
-        face.density = map.isOpaque() ? nullptr : &(*trace::densityTrees(map))[f];
+        face.density = map.isOpaque()
+                           ? nullptr
+                           : &(*trace::densityTrees(map, trace::DensityUse::rays))[f];
         face.empty = map.zRange(f).empty();
     }
 }

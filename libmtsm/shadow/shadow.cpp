@@ -271,7 +271,8 @@ std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept {
         for (const trace::PatchTree& tree : *trace::patchTrees(map))
             bytes += tree.memoryBytes();
     } else {
-        for (const trace::DensityTree& tree : *trace::densityTrees(map))
+        for (const trace::DensityTree& tree :
+             *trace::densityTrees(map, trace::DensityUse::receivers))
             bytes += tree.memoryBytes();
     }
     return bytes;

@@ -18,7 +18,7 @@
 //   t of the way is at s = t / t1 of an orthographic ray, at s = (t / t1) z1 / (z + t l)
 //   of a perspective one.
 // - begin: where media begin to count, the s of the point kMediaStart pixel footprints
-//   from P; with a normal, where the ray is clear of the receiver's plane. Of sheets:
+//   from P, or as few as the map says; with a normal, where the ray is clear of the receiver's plane. Of sheets:
 //   as of surfaces.
 // - beginSurfaces: the s of the point kStartBiases times the bias from P, or where the
 //   ray is clear of the receiver's plane. What is in front of `begin` does not count

@@ -6,6 +6,7 @@
 #include <bit>
 #include <cmath>
 #include <limits>
+#include <memory>
 #include <new>
 #include <optional>
 #include <utility>
@@ -336,9 +337,10 @@ struct ListReaders {
         std::fill_n(low, 4, HUGE_VALF);
         std::fill_n(high, 4, HUGE_VALF);
     }
-    void add(const DensityLevel& level, const DensityTexel& texel) noexcept {
+    void add(const std::vector<std::uint32_t>& slabs,
+             const DensityTexel& texel) noexcept {
         const std::size_t k = count_++;
-        at_[k] = level.slabs.data() + texel.begin;
+        at_[k] = slabs.data() + texel.begin;
         left_[k] = stride_[k] = texel.count;
         take(k);
     }
@@ -490,6 +492,58 @@ class Merger {
     std::array<std::array<float, kChannels>, 4> depth_{};  // [child][channel]
 };
 
+/// Level 1 of a face, level 0 being read a texel's four pixels at a time.
+template <std::uint32_t kChannels>
+class PixelMerger {
+  public:
+    PixelMerger(const ShadowMap& map, std::uint32_t face, bool surfaces, Limits limits)
+        : map_(map),
+          face_(face),
+          surfaces_(surfaces),
+          pixels_(map, face),
+          merger_(limits) {}
+
+    void operator()(std::uint32_t x, std::uint32_t y, std::vector<Slab>& slabs) {
+        const std::uint32_t width = map_.info().width, height = map_.info().height;
+        DensityTexel texels[4];
+        std::size_t count = 0;
+        words_.clear();
+        for (std::uint32_t v = 2 * y; v < std::min(2 * y + 2, height); ++v) {
+            for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, width); ++u) {
+                pixels_.read(map_.pixel(face_, u, v), u, v, surfaces_, slabs);
+                DensityTexel& texel = texels[count++];
+                const std::size_t begin = words_.size();
+                texel = pack(slabs, kChannels, words_);
+                texel.begin = std::uint32_t(begin);
+            }
+        }
+        slabs.clear();
+        if (words_.empty()) return;
+        lists_.clear();
+        for (std::size_t k = 0; k < count; ++k)
+            lists_.add(words_, texels[k]);
+        merger_.merge(lists_, slabs);
+    }
+
+  private:
+    const ShadowMap& map_;
+    std::uint32_t face_;
+    bool surfaces_;
+    PixelSlabs pixels_;
+    Merger<kChannels> merger_;
+    ListReaders<kChannels> lists_;
+    std::vector<std::uint32_t> words_;
+};
+
+template <std::uint32_t kChannels>
+bool makeLevel1(const ShadowMap& map, std::uint32_t face, bool surfaces, Limits limits,
+                DensityLevel& level) {
+    level.width = (map.info().width + 1) / 2;
+    level.height = (map.info().height + 1) / 2;
+    return makeLevel(kChannels, level,
+                     [&] { return PixelMerger<kChannels>(map, face, surfaces, limits); });
+}
+
 template <std::uint32_t kChannels>
 bool makeCoarser(const DensityLevel& fine, Limits limits, DensityLevel& level) {
     level.width = (fine.width + 1) / 2;
@@ -500,7 +554,7 @@ bool makeCoarser(const DensityLevel& fine, Limits limits, DensityLevel& level) {
             lists.clear();
             for (std::uint32_t v = 2 * y; v < std::min(2 * y + 2, fine.height); ++v) {
                 for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, fine.width); ++u)
-                    lists.add(fine, fine.texel(u, v));
+                    lists.add(fine.slabs, fine.texel(u, v));
             }
             merger.merge(lists, slabs);
         };
@@ -510,21 +564,30 @@ bool makeCoarser(const DensityLevel& fine, Limits limits, DensityLevel& level) {
 bool makePyramid(const ShadowMap& map, std::uint32_t face, Kind kind,
                  const DensityOptions& options, DensityPyramid& pyramid) {
     const Projection& p = map.projection(face);
+    const bool surfaces = kind == Kind::surfaces, colour = map.info().channels == 3;
     pyramid.levels.emplace_back();
-    if (!makePixels(map, face, kind == Kind::surfaces, pyramid.levels[0])) return false;
-    if (pyramid.levels[0].slabs.size() == kLanes) {
+    if (options.finest == 0) {
+        if (!makePixels(map, face, surfaces, pyramid.levels[0])) return false;
+    } else {
+        const auto level1 = colour ? makeLevel1<3> : makeLevel1<1>;
+        pyramid.levels.emplace_back();
+        if (!level1(map, face, surfaces, limitsOf(p, options, kind, 1),
+                    pyramid.levels[1]))
+            return false;
+    }
+    if (pyramid.levels.back().slabs.size() == kLanes) {
         pyramid = {};
         return true;
     }
     pyramid.low = HUGE_VALF;
     pyramid.high = -HUGE_VALF;
-    for (const DensityTexel& texel : pyramid.levels[0].texels) {
+    for (const DensityTexel& texel : pyramid.levels.back().texels) {
         pyramid.low = std::min(pyramid.low, texel.low);
         pyramid.high = std::max(pyramid.high, texel.high);
     }
-    const auto coarser = map.info().channels == 3 ? makeCoarser<3> : makeCoarser<1>;
-    for (std::uint32_t i = 1;
-         pyramid.levels.back().width > 1 || pyramid.levels.back().height > 1; ++i) {
+    const auto coarser = colour ? makeCoarser<3> : makeCoarser<1>;
+    while (pyramid.levels.back().width > 1 || pyramid.levels.back().height > 1) {
+        const auto i = std::uint32_t(pyramid.levels.size());
         DensityLevel level;
         const Limits limits = limitsOf(p, options, kind, i);
         if (!coarser(pyramid.levels.back(), limits, level)) return false;
@@ -573,22 +636,42 @@ std::uint64_t DensityTree::memoryBytes() const noexcept {
     return bytesOf(translucent_) + bytesOf(surfaces_);
 }
 
-const std::vector<DensityTree>* densityTrees(const ShadowMap& map) {
-    using Kept = std::vector<DensityTree>;
-    const Kept& kept = map.queryData().get<Kept>([&] {
-        Kept trees;
-        try {
-            for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
-                Result<DensityTree> tree = DensityTree::build(map, face);
-                if (!tree) return Kept();
-                trees.push_back(*std::move(tree));
-            }
-        } catch (const std::bad_alloc&) {
-            trees = {};
+namespace {
+
+/// Of all faces; none if a tree is too large.
+std::vector<DensityTree> buildAll(const ShadowMap& map, const DensityOptions& options) {
+    std::vector<DensityTree> trees;
+    try {
+        for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
+            Result<DensityTree> tree = DensityTree::build(map, face, options);
+            if (!tree) return {};
+            trees.push_back(*std::move(tree));
         }
-        return trees;
+    } catch (const std::bad_alloc&) {
+        trees = {};
+    }
+    return trees;
+}
+
+}  // namespace
+
+bool hasNearMedia(const ShadowMap& map) noexcept {
+    return map.faceCount() == 1 && !map.isOpaque() &&
+           (!map.nearHair(0).empty() || !map.nearSheets(0).empty());
+}
+
+const std::vector<DensityTree>* densityTrees(const ShadowMap& map, DensityUse use) {
+    using Trees = std::vector<DensityTree>;
+    using Kept = std::array<base::Lazy, 2>;
+    const bool coarse = use == DensityUse::receivers && hasNearMedia(map);
+    const auto& kept = map.queryData().get<std::shared_ptr<Kept>>(
+        [] { return std::make_shared<Kept>(); });
+    const Trees& trees = (*kept)[coarse].get<Trees>([&] {
+        DensityOptions options;
+        options.finest = coarse ? kFinestBesideNear : 0;
+        return buildAll(map, options);
     });
-    return kept.empty() ? nullptr : &kept;
+    return trees.empty() ? nullptr : &trees;
 }
 
 }  // namespace mtsm::trace

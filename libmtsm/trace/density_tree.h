@@ -41,8 +41,9 @@ struct DensityOptions {
     /// level's texels.
     double depth = 0.8;
     double length = 4.0;
-    /// Levels below are left out: 1 takes a fifth of the memory of 0 for fur, for rays
-    /// whose way near the receiver is answered from elsewhere.
+    /// Levels below are left out, and level 0 is not even made: 1 takes a fifth of the
+    /// memory of 0 for fur, for rays whose way near the receiver is answered from
+    /// elsewhere.
     std::uint32_t finest = 0;
 };
 
@@ -128,8 +129,22 @@ class DensityTree {
     DensityPyramid translucent_, surfaces_;
 };
 
-/// The trees of the faces of a map that is not opaque, made when first asked for; null if
-/// they are too large or there is no memory for them, for good.
-[[nodiscard]] const std::vector<DensityTree>* densityTrees(const ShadowMap& map);
+/// The finest level that rays of receivers need beside a near field, which answers until
+/// a pixel is a third (hair) or an eighth (sheets) of the light.
+inline constexpr std::uint32_t kFinestBesideNear = 1;
+
+enum class DensityUse {
+    receivers,  ///< rays from receivers to a light, with the near field that there is
+    rays        ///< any rays, through layers alone
+};
+
+/// Have rays of receivers a near field of hair or sheets in front of the trees?
+[[nodiscard]] bool hasNearMedia(const ShadowMap& map) noexcept;
+
+/// The trees of the faces of a map that is not opaque, made when first asked for, one set
+/// for both uses where there is no near field; null if they are too large or there is no
+/// memory for them, for good.
+[[nodiscard]] const std::vector<DensityTree>* densityTrees(const ShadowMap& map,
+                                                           DensityUse use);
 
 }  // namespace mtsm::trace

@@ -111,8 +111,9 @@ methods() {
     local counts="1, 2, 4, 8, 16, 32, 64, 128, 256" embree="1, 2, 4, 8, 16, 32, 64, 128, 256"
     case $1 in
     character | bumpy | palm | mesh) near='"none", "auto"' further="4096, 8192" ;;
-    fur) near='"none", "auto"' further="4096" ;;
-    cards) near='"none", "auto"' ;;
+    fur) resolutions="256, $resolutions" near='"none", "auto"' further="4096" ;;
+    cards) resolutions="256, $resolutions" near='"none", "auto"' ;;
+    smoke) resolutions="64, 128, 256, 512, 1024" ;; # of 128 x 128 x 128 voxels
     giant-*) resolutions="2048" paper=2048 embree="1, 4, 16, 64, 256" ;;
     esac
     if [ -n "$quick" ]; then

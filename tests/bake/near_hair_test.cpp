@@ -15,6 +15,7 @@
 #include "bake/casters.h"
 #include "mtsm/bake.h"
 #include "mtsm/shadow.h"
+#include "trace/density_tree.h"
 
 using namespace mtsm;
 using mtsm::test::mustBake;
@@ -185,6 +186,25 @@ TEST_CASE("hair and opaque triangles have a near field together, nothing else ha
         CHECK(b.map.nearField(0).empty());
         CHECK(b.report.nearBytes == 0);
         CHECK_THAT(b.report.noNearField, Catch::Contains("all opaque triangles"));
+    }
+}
+
+TEST_CASE("beside near hair rays to a light need no finest densities, others do",
+          "[bake]") {
+    const Hair hair = randomHair(200);
+    BakeOptions o = lamp();
+    for (const bool near : {true, false}) {
+        o.nearField = near ? kAutomaticNearField : 0;
+        const ShadowMap map = mustBake({hair.view()}, o).map;
+        using trace::DensityUse;
+        const auto* light = trace::densityTrees(map, DensityUse::receivers);
+        const auto* rays = trace::densityTrees(map, DensityUse::rays);
+        REQUIRE((light && rays));
+        CHECK((*light)[0].finest() == (near ? trace::kFinestBesideNear : 0));
+        CHECK((*rays)[0].finest() == 0);
+        CHECK((light == rays) == !near);
+        // What rays meet is the same with a near field.
+        CHECK((*rays)[0].memoryBytes() >= (*light)[0].memoryBytes());
     }
 }
 

@@ -143,6 +143,47 @@ TEST_CASE("a homogeneous slab of extinction s leaves exp(-s d) of a ray through 
     }
 }
 
+TEST_CASE(
+    "a point in a volume is darkened by all that is above it, whatever a pixel's size",
+    "[bake][exact]") {
+    const double side = 0.05, extinction = 2.0;
+    Slab slab(12, side, float(extinction));
+    CasterViews casters({slab.view});
+    BakeOptions o = above();
+    for (const std::uint32_t pixels : {32u, 256u}) {
+        o.width = o.height = pixels;
+        const ShadowMap map = mustBake(casters, o);
+        for (const ShadowMethod method : {ShadowMethod::trace, ShadowMethod::scalar}) {
+            ShadowOptions options;
+            options.method = method;
+            options.samples = 16;
+            double sum = 0.0, expected = 0.0;
+            Random random(5);
+            const int points = 500;
+            for (int i = 0; i < points; ++i) {
+                const glm::dvec3 p(random.in(-0.5, 0.5), random.in(0.0, 8 * side),
+                                   random.in(-0.5, 0.5));
+                sum += shadowFactor(map, o.light, p, {}, options);
+                const glm::dvec3 d = glm::normalize(o.light.position - p);
+                expected += 1.0 - std::exp(-extinction * (8 * side - p.y) / d.y);
+            }
+            INFO(pixels << " pixels, method " << int(method));
+            CHECK(sum / points == Approx(expected / points).margin(0.01));
+        }
+    }
+    // Beside anything else a point may lie on what casts.
+    const auto saysWhere = [](const ShadowMap& map) {
+        for (const Attribute& a : map.info().attributes) {
+            if (a.name == "mediaStart") return true;
+        }
+        return false;
+    };
+    CHECK(saysWhere(mustBake(casters, o)));
+    const Mesh card = sheet(0.2f, 0.5f, 0.3f);
+    CasterViews both({CasterView(slab.view), CasterView(card.view())});
+    CHECK_FALSE(saysWhere(mustBake(both, o)));
+}
+
 TEST_CASE("a volume that the window cuts is said to be clipped", "[bake]") {
     Slab slab(12, 0.05, 1.0f);
     CasterViews casters({slab.view});

@@ -164,6 +164,44 @@ TEST_CASE("a receiver among media is darkened by what is a footprint away, not b
     }
 }
 
+TEST_CASE("a map may say from where on its media count, up to a footprint away",
+          "[shadow][exact]") {
+    const auto dark = [](const Attribute& attribute, ShadowMethod method,
+                         double footprints) {
+        MapInfo info = infoOf(64, Translucent::media);
+        info.attributes.push_back(attribute);
+        const ShadowMap map = mapOf(info, test::plainProjection(64, 64), [](auto, auto) {
+            return std::vector<TestLayer>{{4.0f, 0.5f, 1}};
+        });
+        ShadowOptions options;
+        options.method = method;
+        // A pixel is 1/8 wide at depth 4.
+        const double depth = 4 + footprints / 8;
+        return shadowFactor(map, pointLight(), depth * glm::dvec3(1.0 / 64, 3.0 / 64, -1),
+                            {}, options);
+    };
+    using Numbers = std::vector<double>;
+    for (const ShadowMethod method :
+         {ShadowMethod::trace, ShadowMethod::scalar, ShadowMethod::pcf}) {
+        INFO("method " << int(method));
+        const auto half = Approx(0.5).margin(marginOf(method));
+        CHECK(dark({"mediaStart", Numbers{0.0}}, method, 0.1) == half);
+        CHECK(dark({"mediaStart", Numbers{0.0}}, method, -0.1) == 0.0f);
+        CHECK(dark({"mediaStart", Numbers{0.5}}, method, 0.4) == 0.0f);
+        CHECK(dark({"mediaStart", Numbers{0.5}}, method, 0.6) == half);
+        // No further than one, and what is no such number says nothing.
+        for (const Attribute& other :
+             {Attribute{"mediaStart", Numbers{7.0}}, Attribute{"mediaStart", Numbers{}},
+              Attribute{"mediaStart", Numbers{-1.0}},
+              Attribute{"mediaStart", Numbers{0.0, 0.0}},
+              Attribute{"mediaStart", Numbers{double(NAN)}},
+              Attribute{"mediaStart", std::int64_t(0)}, Attribute{"start", Numbers{0}}}) {
+            CHECK(dark(other, method, 0.8) == 0.0f);
+            CHECK(dark(other, method, 1.3) == half);
+        }
+    }
+}
+
 TEST_CASE("deep filtered lookup gives exp(-s d) in a homogeneous slab, compressed or not",
           "[shadow][exact]") {
     const double s = 0.6;

@@ -678,6 +678,34 @@ TEST_CASE("a density tree is the same for any number of threads", "[trace]") {
     });
 }
 
+TEST_CASE("levels above those left out are the same as with them", "[trace]") {
+    Random random(21);
+    for (const Translucent rule : {Translucent::media, Translucent::sheets}) {
+        MapInfo info = mediaInfo(37);  // odd: some texels have fewer children
+        info.translucent = rule;
+        const ShadowMap map = mapOf(info, test::plainProjection(37, 37),
+                                    [&](auto, auto) { return anyLayers(random, true); });
+        const DensityTree whole = treeOf(map);
+        for (const std::uint32_t finest : {1u, 2u}) {
+            DensityOptions options;
+            options.finest = finest;
+            const DensityTree tree = treeOf(map, options);
+            for (const auto pyramid :
+                 {&DensityTree::translucent, &DensityTree::surfaces}) {
+                const auto& a = (tree.*pyramid)().levels;
+                const auto& b = (whole.*pyramid)().levels;
+                REQUIRE(a.size() == b.size());
+                for (std::size_t i = 0; i < a.size(); ++i) {
+                    if (i >= finest)
+                        CHECK(a[i].slabs == b[i].slabs);
+                    else
+                        CHECK((a[i].slabs.empty() && a[i].texels.empty()));
+                }
+            }
+        }
+    }
+}
+
 TEST_CASE("levels below the finest asked for are left out", "[trace]") {
     const ShadowMap map = hairMap(64, 2000);
     DensityOptions options;

@@ -32,7 +32,7 @@
 // steeper ones let some of the light through. Where the map has a near field
 // (mtsm/near_field.h), what lies within 32 pixel footprints of depth above the receiver
 // is met exactly; beside strands (maps of one face) up to where the light, seen through
-// the receiver, is two pixels wide, and of sheets (mtsm/near_sheets.h) up to 8 pixels.
+// the receiver, is three pixels wide, and of sheets (mtsm/near_sheets.h) up to 8 pixels.
 // Strands on which a receiver lies do not darken it where it lies. Visibility of media
 // and sheets is kept to .0004. Of six faces each is followed by itself, sheets at the
 // border between two by both. Attenuation::subtract, maps of more than 2^28 layers, and
@@ -48,8 +48,9 @@
 //
 // In a map of media (MapInfo::translucent) that holds for opaque surfaces. Hair and
 // volumes are met at exact crossings, and without a normal from one pixel footprint away
-// from the receiver on; with one, the tangent plane is theirs as well. Traced rays lose
-// light in them by the length of their way; pcf takes what the map holds, and so does
+// from the receiver on (in a map of volumes alone, from the receiver on: its attribute
+// "mediaStart"); with one, the tangent plane is theirs as well. Traced rays lose light in
+// them by the length of their way; pcf takes what the map holds, and so does
 // Attenuation::subtract.
 //
 // Colour: functions whose name ends in Color give each visibility channel of the map
