@@ -24,12 +24,13 @@ struct Hits {
     static constexpr int kRoom = 128;
     int count = 0;
     alignas(64) std::int32_t texel[kRoom + kLanes], ray[kRoom + kLanes];
-    /// w: of media and surfaces the lower and the higher end of the way through the
-    /// texel; of sheets where the ray enters and where it leaves.
+    /// w: of media the lower and the higher end of the way through the texel; of sheets
+    /// where the ray enters and where it leaves.
     alignas(64) float low[kRoom + kLanes], high[kRoom + kLanes];
-    /// Of sheets: the bias there and where the ray goes on, w; how many texels the ray
-    /// has been in.
-    alignas(64) float bias[kRoom + kLanes], nextBias[kRoom + kLanes];
+    /// Of sheets: the bias where the ray enters, where it leaves and there in the next
+    /// texel, w; how many texels the ray has been in.
+    alignas(64) float enterBias[kRoom + kLanes], exitBias[kRoom + kLanes],
+        nextBias[kRoom + kLanes];
     alignas(64) std::int32_t step[kRoom + kLanes];
 };
 
@@ -43,9 +44,10 @@ struct March {
     alignas(64) float stretch[kLanes];
     std::uint32_t open = 0;
     std::uint32_t met = 0;  // rays that have sums
-    Hits translucent, surfaces;
+    Hits media, sheets;
     /// [channel][ray][a vector's lanes]: sums over the slabs of the level.
-    alignas(64) float sum[3][kLanes][kLanes], surfaceSum[3][kLanes][kLanes];
+    alignas(64) float sum[3][kLanes][kLanes];
+    float sheetSum[3][kLanes];
     /// Sheets: how many texels a ray has been in, that number when it last had sheets
     /// near by, and how many it had paid for near where it left then.
     alignas(64) std::int32_t steps[kLanes];
@@ -87,12 +89,12 @@ class Kernel {
         : tree_(tree),
           options_(options),
           perspective_(tree.projection().kind == ProjectionKind::perspective),
-          sheets_(tree.isOfSheets()) {}
+          ofSheets_(tree.isOfSheets()) {}
 
     void trace(RayBundle& bundle, int row, RayDepths& depths) {
         setUp(bundle, row);
         const std::size_t levels =
-            std::max(tree_.translucent().levels.size(), tree_.surfaces().levels.size());
+            std::max(tree_.media().levels.size(), tree_.sheets().levels.size());
         for (std::size_t level = tree_.finest(); level < levels && march_.open; ++level) {
             const bool last = level + 1 == levels;
             walk(int(level), last);
@@ -108,8 +110,7 @@ class Kernel {
     /// Walks the rays through one level.
     void walk(int level, bool last);
     /// Answers what waits.
-    void answer(const DensityPyramid& pyramid, int level, Hits& hits,
-                float (*sum)[kLanes][kLanes]);
+    void answerMedia(int level);
     void answerSheets(int level);
     /// Makes room for what a ray meets in a level.
     void beginSums(int ray);
@@ -119,24 +120,11 @@ class Kernel {
     // A texel that rays first .. first + lanes - 1 cross between two w; those of `alive`.
     template <class V, class VI, class M>
     void crossMedia(int level, V low, V high, VI texel, int first, M alive) {
-        const DensityLevel& texels = tree_.translucent().levels[std::size_t(level)];
-        Hits& hits = march_.translucent;
+        const DensityLevel& texels = tree_.media().levels[std::size_t(level)];
+        Hits& hits = march_.media;
         push(hits, low, high, texel, first,
              hn::And(alive, meets(texels, texel, low, high)));
-        if (hits.count > Hits::kRoom)
-            answer(tree_.translucent(), level, hits, march_.sum);
-    }
-
-    template <class V, class VI, class M>
-    void crossSurfaces(int level, V from, V to, VI texel, int first, M alive) {
-        const DensityLevel& texels = tree_.surfaces().levels[std::size_t(level)];
-        Hits& hits = march_.surfaces;
-        V low = hn::Min(from, to), high = hn::Max(from, to);
-        widen(low, high, hn::Set(Floats(), 1.0f));
-        push(hits, low, high, texel, first,
-             hn::And(alive, meets(texels, texel, low, high)));
-        if (hits.count > Hits::kRoom)
-            answer(tree_.surfaces(), level, hits, march_.surfaceSum);
+        if (hits.count > Hits::kRoom) answerMedia(level);
     }
 
     /// `isLast`: from here the ray goes on into texels of the next level.
@@ -144,15 +132,17 @@ class Kernel {
     void crossSheets(int level, V enter, V exit, VI texel, int first, M alive, M isLast) {
         const Floats d;
         const Ints di;
-        const DensityLevel& texels = tree_.translucent().levels[std::size_t(level)];
-        Hits& hits = march_.translucent;
+        const DensityLevel& texels = tree_.sheets().levels[std::size_t(level)];
+        Hits& hits = march_.sheets;
         const V low = hn::Min(enter, exit), high = hn::Max(enter, exit);
-        const V bias = biasAt(low, high, hn::Set(d, std::ldexp(1.0f, level)));
-        const V reach = hn::Add(bias, bias);
+        const V side = hn::Set(d, std::ldexp(1.0f, level));
+        const V enterBias = biasAt(enter, side), exitBias = biasAt(exit, side);
+        const V reach = hn::Mul(hn::Set(d, 2.0f), hn::Max(enterBias, exitBias));
         const M met = hn::And(
             alive, meets(texels, texel, hn::Sub(low, reach), hn::Add(high, reach)));
-        const V nextBias = hn::IfThenElse(isLast, reach, bias);
-        hn::StoreU(hn::Compress(bias, met), d, hits.bias + hits.count);
+        const V nextBias = hn::IfThenElse(isLast, hn::Add(exitBias, exitBias), exitBias);
+        hn::StoreU(hn::Compress(enterBias, met), d, hits.enterBias + hits.count);
+        hn::StoreU(hn::Compress(exitBias, met), d, hits.exitBias + hits.count);
         hn::StoreU(hn::Compress(nextBias, met), d, hits.nextBias + hits.count);
         const VI steps = hn::Load(di, march_.steps + first);
         const auto metI = hn::RebindMask(di, met), aliveI = hn::RebindMask(di, alive);
@@ -212,9 +202,8 @@ class Kernel {
             high = hn::Max(high, to);
         };
         const V reach = hn::Mul(hn::Set(d, 2.0f), hn::Max(texel, one));
-        if (!tree_.translucent().empty())
-            include(tree_.translucent(), sheets_ ? reach : hn::Zero(d));
-        if (!tree_.surfaces().empty()) include(tree_.surfaces(), one);
+        if (!tree_.media().empty()) include(tree_.media(), hn::Zero(d));
+        if (!tree_.sheets().empty()) include(tree_.sheets(), reach);
     }
 
     /// Way per unit of depth, at most kMostStretch times the centre ray's at the start.
@@ -261,22 +250,21 @@ class Kernel {
         high = hn::Div(one, hn::Max(hn::Sub(near, bias), least));
     }
 
-    /// The bias of sheets somewhere in [low, high], w, for texels of `side` pixels: what
-    /// closes a tilted sheet grows with them.
+    /// The bias of sheets at w, for texels of `side` pixels, as w: what closes a tilted
+    /// sheet grows with them.
     template <class V>
-    V biasAt(V low, V high, V side) const {
+    V biasAt(V w, V side) const {
         const Floats d;
         const V base = hn::Set(d, float(options_.bias.base));
         const V perDepth = hn::Set(d, float(options_.bias.perDepth));
-        if (!perspective_) return hn::Mul(side, hn::MulAdd(perDepth, hn::Abs(low), base));
-        const V far = hn::Div(hn::Set(d, 1.0f), hn::Max(low, hn::Set(d, 1e-25f)));
-        const V bias = hn::Mul(side, hn::MulAdd(perDepth, far, base));
-        return hn::Min(hn::Mul(hn::Mul(bias, low), high), hn::Set(d, 1e30f));
+        if (!perspective_) return hn::Mul(side, hn::MulAdd(perDepth, hn::Abs(w), base));
+        const V bias = hn::Mul(hn::Mul(side, w), hn::MulAdd(base, w, perDepth));
+        return hn::Min(bias, hn::Set(d, 1e30f));
     }
 
     const DensityTree& tree_;
     const DensityTraceOptions& options_;
-    bool perspective_, sheets_;
+    bool perspective_, ofSheets_;
     std::uint32_t dark_ = 0;
     March march_;
 };
@@ -297,7 +285,7 @@ void Kernel::setUp(const RayBundle& bundle, int row) {
         auto begin = hn::Load(d, bundle.begin[row] + i);
         auto beginSurfaces = hn::Load(d, bundle.beginSurfaces[row] + i);
         // At s = 1. What closes a tilted sheet darkens it the more the larger texels are.
-        const float part = sheets_ ? 0.5f : 1.0f;
+        const float part = ofSheets_ ? 0.5f : 1.0f;
         const auto texel =
             hn::Mul(hn::Set(d, part * bundle.spread[receiver]), hn::Abs(dw));
         auto open = maskOf(d, std::uint32_t(bundle.open[row]) >> i);
@@ -309,7 +297,7 @@ void Kernel::setUp(const RayBundle& bundle, int row) {
         open = hn::And(open, hn::Ge(beginSurfaces, hn::Neg(most)));
         begin = hn::Max(begin, zero);
         beginSurfaces = hn::Max(begin, beginSurfaces);
-        if (tree_.translucent().empty()) begin = beginSurfaces;
+        if (tree_.media().empty()) begin = beginSurfaces;
         auto end = one;
         const auto inverseU = inverse(d, du), inverseV = inverse(d, dv);
         clip(u, inverseU, zero, hn::Set(d, float(tree_.width())), begin, end);
@@ -331,9 +319,9 @@ void Kernel::setUp(const RayBundle& bundle, int row) {
         hn::Store(beginSurfaces, d, march_.beginSurfaces + i);
         hn::Store(end, d, march_.end + i);
         hn::Store(inverse(d, texel), d, march_.perTexel + i);
-        hn::Store(sheets_ ? one : stretchOf(u, v, w, du, dv, dw), d, march_.stretch + i);
+        hn::Store(tree_.media().empty() ? one : stretchOf(u, v, w, du, dv, dw), d,
+                  march_.stretch + i);
         march_.open |= bitsOf(d, open) << i;
-        if (!sheets_) continue;
         hn::Store(hn::Zero(Ints()), Ints(), march_.steps + i);
         for (int r = i; r < i + lanes; ++r)
             march_.lastStep[r] = -2;  // paid[r] is not read then
@@ -347,9 +335,9 @@ void Kernel::walk(int level, bool last) {
     const auto levelOf = [&](const DensityPyramid& p) -> const DensityLevel* {
         return p.empty() ? nullptr : &p.levels[std::size_t(level)];
     };
-    const DensityLevel* translucent = levelOf(tree_.translucent());
-    const DensityLevel* surfaces = levelOf(tree_.surfaces());
-    const DensityLevel& texels = translucent ? *translucent : *surfaces;
+    const DensityLevel* media = levelOf(tree_.media());
+    const DensityLevel* sheets = levelOf(tree_.sheets());
+    const DensityLevel& texels = media ? *media : *sheets;
     const float side = std::ldexp(1.0f, level);
     const auto zero = hn::Zero(d);
     const auto width = hn::Set(di, std::int32_t(texels.width));
@@ -410,16 +398,12 @@ void Kernel::walk(int level, bool last) {
             const auto texel =
                 hn::IfThenElseZero(hn::RebindMask(di, alive), texelAt(x, y, tilesX));
             const auto wa = hn::MulAdd(s, dw, w), wb = hn::MulAdd(sNext, dw, w);
-            if (translucent && !sheets_)
+            if (media)
                 crossMedia(level, hn::Min(wa, wb), hn::Max(wa, wb), texel, i, alive);
-            if (translucent && sheets_) {
-                const auto isLast = hn::Ge(sNext, end);
-                crossSheets(level, wa, wb, texel, i, alive, isLast);
-            }
-            if (surfaces) {
+            if (sheets) {
                 const auto begin = hn::Max(s, beginSurfaces);
-                crossSurfaces(level, hn::MulAdd(begin, dw, w), wb, texel, i,
-                              hn::And(alive, hn::Lt(begin, sNext)));
+                crossSheets(level, hn::MulAdd(begin, dw, w), wb, texel, i,
+                            hn::And(alive, hn::Lt(begin, sNext)), hn::Ge(sNext, end));
             }
 
             alive = hn::And(alive, hn::Lt(sNext, end));
@@ -439,20 +423,17 @@ void Kernel::walk(int level, bool last) {
             if (hn::AllFalse(d, alive)) break;
         }
     }
-    if (sheets_)
-        answerSheets(level);
-    else
-        answer(tree_.translucent(), level, march_.translucent, march_.sum);
-    answer(tree_.surfaces(), level, march_.surfaces, march_.surfaceSum);
+    answerMedia(level);
+    answerSheets(level);
     march_.open &= ahead;
 }
 
-void Kernel::answer(const DensityPyramid& pyramid, int level, Hits& hits,
-                    float (*sum)[kLanes][kLanes]) {
+void Kernel::answerMedia(int level) {
+    Hits& hits = march_.media;
     if (hits.count == 0) return;
     const Floats d;
     const std::uint32_t lanes = std::uint32_t(hn::Lanes(d));
-    const DensityLevel& texels = pyramid.levels[std::size_t(level)];
+    const DensityLevel& texels = tree_.media().levels[std::size_t(level)];
     const hn::RebindToUnsigned<Floats> du;
     const auto upper = hn::Set(du, DensityLevel::kLengthBits);
     const std::uint32_t channels = tree_.channels();
@@ -477,10 +458,10 @@ void Kernel::answer(const DensityPyramid& pyramid, int level, Hits& hits,
                           d, total);
             };
             add(hn::ShiftLeft<DensityLevel::kDensityShift>(hn::AndNot(upper, bits)),
-                sum[0][ray]);
+                march_.sum[0][ray]);
             for (std::uint32_t c = 1; c < channels; ++c)
                 add(hn::IfThenElseZero(valid, hn::LoadU(du, at += texel.count)),
-                    sum[c][ray]);
+                    march_.sum[c][ray]);
         }
     }
     hits.count = 0;
@@ -490,7 +471,7 @@ void Kernel::answer(const DensityPyramid& pyramid, int level, Hits& hits,
 /// those that the ray has paid for near where it left the texel before are not paid for
 /// again near where it entered this one.
 void Kernel::answerSheets(int level) {
-    Hits& hits = march_.translucent;
+    Hits& hits = march_.sheets;
     if (hits.count == 0) return;
     const Floats d;
     const std::uint32_t lanes = std::uint32_t(hn::Lanes(d));
@@ -499,7 +480,7 @@ void Kernel::answerSheets(int level) {
     const auto zero = hn::Zero(d);
     const auto total = [&](auto v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
     const std::uint32_t channels = tree_.channels();
-    const DensityLevel& texels = tree_.translucent().levels[std::size_t(level)];
+    const DensityLevel& texels = tree_.sheets().levels[std::size_t(level)];
     for (int h = 0; h < hits.count; ++h) {
         const DensityTexel texel = texels.texels[std::size_t(hits.texel[h])];
         const std::uint32_t* list = texels.slabs.data() + texel.begin;
@@ -508,7 +489,12 @@ void Kernel::answerSheets(int level) {
         const bool straightOn = hits.step[h] == march_.lastStep[ray] + 1;
         march_.lastStep[ray] = hits.step[h];
         const auto enter = hn::Set(d, hits.low[h]), exit = hn::Set(d, hits.high[h]);
-        const auto bias = hn::Set(d, hits.bias[h]), step = hn::Add(bias, bias);
+        const bool rises = hits.low[h] < hits.high[h];
+        const auto enterBias = hn::Set(d, hits.enterBias[h]);
+        const auto exitBias = hn::Set(d, hits.exitBias[h]);
+        const auto lowBias = rises ? enterBias : exitBias;
+        const auto highBias = rises ? exitBias : enterBias;
+        const auto step = hn::Add(enterBias, enterBias);
         const auto nextBias = hn::Set(d, hits.nextBias[h]);
         const auto nextStep = hn::Add(nextBias, nextBias);
         // Slabs near the way in; those that go on out, if the former are not known or
@@ -535,8 +521,8 @@ void Kernel::answerSheets(int level) {
                 return hn::IfThenElseZero(hn::RebindMask(d, valid),
                                           hn::Mul(hn::Max(within, zero), perLength));
             };
-            const auto met = part(hn::Sub(hn::Min(enter, exit), bias),
-                                  hn::Add(hn::Max(enter, exit), bias));
+            const auto met = part(hn::Sub(hn::Min(enter, exit), lowBias),
+                                  hn::Add(hn::Max(enter, exit), highBias));
             const auto entered = part(hn::Sub(enter, step), hn::Add(enter, step));
             const auto left = part(hn::Sub(exit, nextStep), hn::Add(exit, nextStep));
             if (hn::AllFalse(d, hn::Gt(hn::Add(met, entered), zero))) continue;
@@ -563,7 +549,7 @@ void Kernel::answerSheets(int level) {
         const float known =
             straightOn && nearby > 0.0f ? std::min(paid / nearby, 1.0f) : 0.0f;
         for (std::uint32_t c = 0; c < channels; ++c)
-            march_.sum[c][ray][0] += depthMet[c] - known * depthNear[c];
+            march_.sheetSum[c][ray] += depthMet[c] - known * depthNear[c];
         paid = known * total(goesOnIfKnown) + (1.0f - known) * total(goesOn);
     }
     hits.count = 0;
@@ -575,7 +561,7 @@ void Kernel::beginSums(int ray) {
     march_.met |= 1u << ray;
     for (std::uint32_t c = 0; c < tree_.channels(); ++c) {
         hn::Store(hn::Zero(d), d, march_.sum[c][ray]);
-        hn::Store(hn::Zero(d), d, march_.surfaceSum[c][ray]);
+        march_.sheetSum[c][ray] = 0.0f;
     }
 }
 
@@ -587,10 +573,8 @@ void Kernel::settle(int row, RayDepths& depths) {
         for (std::uint32_t c = 0; c < tree_.channels(); ++c) {
             const float media =
                 hn::GetLane(hn::SumOfLanes(d, hn::Load(d, march_.sum[c][ray])));
-            const float surfaces =
-                hn::GetLane(hn::SumOfLanes(d, hn::Load(d, march_.surfaceSum[c][ray])));
             float& depth = depths.depth[c][row][ray];
-            depth += media * march_.stretch[ray] + surfaces;
+            depth += media * march_.stretch[ray] + march_.sheetSum[c][ray];
             dark = dark && depth >= options_.darkDepth;
         }
         if (dark) dark_ |= 1u << ray;
@@ -601,7 +585,7 @@ void Kernel::settle(int row, RayDepths& depths) {
 
 void traceDensityAt(const DensityTree& tree, const DensityTraceOptions& options,
                     RayBundle& bundle, RayDepths& depths) {
-    if (tree.translucent().empty() && tree.surfaces().empty()) return;
+    if (tree.media().empty() && tree.sheets().empty()) return;
     Kernel kernel(tree, options);
     for (int row = 0; row < bundle.receivers * bundle.groups; ++row) {
         if (bundle.open[row]) kernel.trace(bundle, row, depths);
@@ -632,7 +616,7 @@ class Glance {
         : tree_(tree), options_(options), hull_(hull) {}
 
     bool run() {
-        for (const DensityPyramid* p : {&tree_.translucent(), &tree_.surfaces()}) {
+        for (const DensityPyramid* p : {&tree_.media(), &tree_.sheets()}) {
             if (!p->empty() && meets(*p)) return true;
         }
         return false;
@@ -644,7 +628,8 @@ class Glance {
     };
 
     bool meets(const DensityPyramid& pyramid) {
-        const bool sheets = tree_.isOfSheets();
+        const bool sheets = &pyramid == &tree_.sheets();
+        const float part = tree_.isOfSheets() ? 0.5f : 1.0f;
         Node stack[kSize] = {{std::uint32_t(pyramid.levels.size()) - 1, 0, 0}};
         for (int waiting = 1, looks = 0; waiting > 0; ++looks) {
             const Node node = stack[--waiting];
@@ -660,7 +645,6 @@ class Glance {
                                  movedAt(texel.high))
                        : biasAt(texel.high);
             if (!isMet(node, texel, 1.01f * reach, most)) continue;
-            const float part = sheets ? 0.5f : 1.0f;
             if (node.level <= tree_.finest() || looks == kMostLooks ||
                 side <= 1.01f * part * hull_.spread * most)
                 return true;

@@ -12,15 +12,16 @@
 // What a caller fills in (bundle.h). For a receiver P of depth z, L its way to a point of
 // the light, whose depth along L changes by l: the ray ends at t1 of its way, at depth
 // z1 = z + t1 l, and that is at the latest where it leaves the depths of the map
-// (DensityPyramid::low and high; a bias further for surfaces, two for sheets) and always
+// (DensityPyramid::low and high; two biases further for sheets) and always
 // in front of the eye.
 // - u, v, w: P's raster position and 1/z (perspective) or -z (orthographic). The point at
 //   t of the way is at s = t / t1 of an orthographic ray, at s = (t / t1) z1 / (z + t l)
 //   of a perspective one.
 // - begin: where media begin to count, the s of the point kMediaStart pixel footprints
-//   from P, or as few as the map says; with a normal, where the ray is clear of the receiver's plane. Of sheets:
-//   as of surfaces.
-// - beginSurfaces: the s of the point kStartBiases times the bias from P, or where the
+//   from P, or as few as the map says; with a normal, where the ray is clear of the
+//   receiver's plane. In maps of sheets: as beginSurfaces.
+// - beginSurfaces: where sheets begin to count, the s of the point kStartBiases times the
+// bias from P, or where the
 //   ray is clear of the receiver's plane. What is in front of `begin` does not count
 //   either way.
 // - spread: a texel at s may be as large as spread dw s pixels (half of that for sheets),
@@ -55,7 +56,7 @@
 namespace mtsm::trace {
 
 struct DensityTraceOptions {
-    ZBias bias;  ///< of surfaces and sheets
+    ZBias bias;  ///< of sheets
     /// A ray that has met this much in every channel is not followed further.
     float darkDepth = 6.931472f;  // visibility 1/1024
 };

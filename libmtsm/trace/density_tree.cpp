@@ -41,6 +41,12 @@ float thinnest(float low) {
     return std::max(kThinnest * std::abs(low), 1e-30f);
 }
 
+/// What lies at one depth.
+Slab thinAt(float w) {
+    const float length = thinnest(w);
+    return {w - 0.5f * length, w + 0.5f * length, {}};
+}
+
 // Two floats >= 0 in a word, both without their sign: the upper 15 bits of one, which is
 // not made smaller, and the upper 17 bits of the other.
 std::uint32_t packed(float length, float density) {
@@ -95,15 +101,14 @@ Slab unpack(const std::uint32_t* from, std::size_t count, std::uint32_t channels
     return slab;
 }
 
-enum class Kind { media, sheets, surfaces };
+enum class Kind { media, sheets };
 
 /// Slabs that lie about one another are merged up to these.
 struct Limits {
     float depth = 0.0f;
     float length = 0.0f;    ///< w, or share of w
     bool relative = false;  ///< to w: a perspective view's footprint is a share of z
-    bool whole = false;     ///< slabs are not cut
-    bool thin = false;      ///< what is merged lies at the mean of the depths
+    bool thin = false;  ///< slabs are not cut, and merged lie at the mean of the depths
     [[nodiscard]] float lengthAt(float w) const noexcept {
         return relative ? length * w : length;
     }
@@ -113,18 +118,18 @@ struct Limits {
 constexpr double kMostOfDepth = 0.1;
 /// Slabs are cut to not less than this share of the longest they may be.
 constexpr float kShortestCut = 1.0f / 16;
-/// Sheets and surfaces are merged over this many texel footprints, at any depth.
-constexpr double kSurfaceLength = 2.0;
+/// Sheets are merged over this many texel footprints, at any depth.
+constexpr double kSheetLength = 2.0;
 
 Limits limitsOf(const Projection& p, const DensityOptions& options, Kind kind,
                 std::uint32_t level) {
     const double texel = p.pixelFootprint(1.0) * double(std::uint64_t(1) << level);
     const bool perspective = p.kind == ProjectionKind::perspective;
     const bool media = kind == Kind::media;
-    const double length = texel * (media ? options.length : kSurfaceLength);
+    const double length = texel * (media ? options.length : kSheetLength);
     return {media ? float(options.depth) : 8.0f * kDarkDepth,
             float(perspective ? std::min(length, kMostOfDepth) : length), perspective,
-            !media, kind == Kind::sheets};
+            !media};
 }
 
 // --- a pixel's layers ------------------------------------------------------------------
@@ -137,18 +142,13 @@ class PixelSlabs {
           perspective_(projection_.kind == ProjectionKind::perspective),
           sheets_(map.info().translucent == Translucent::sheets) {}
 
-    /// The slabs of pixel (x, y), in order of w: the surfaces, or what is none.
-    void read(const PixelLayers& pixel, std::uint32_t x, std::uint32_t y, bool surfaces,
+    /// The slabs of pixel (x, y) of one kind, in order of w.
+    void read(const PixelLayers& pixel, std::uint32_t x, std::uint32_t y, Kind kind,
               std::vector<Slab>& out) const {
         out.clear();
-        const float way = surfaces || sheets_ ? 1.0f : 1.0f / centreWay(x, y);
+        const float way = kind == Kind::sheets ? 1.0f : 1.0f / centreWay(x, y);
         for (std::uint32_t i = pixel.count; i-- > 0;) {
-            const bool surface = isSurface(pixel, i);
-            if (surface != surfaces) continue;
-            if (surface)
-                out.push_back(at(pixel.z[i], {kDarkDepth, kDarkDepth, kDarkDepth}));
-            else
-                translucent(pixel, i, way, out);
+            if (kindOf(pixel, i) == kind) add(pixel, i, way, out);
         }
     }
 
@@ -162,8 +162,9 @@ class PixelSlabs {
         }
         return true;
     }
-    [[nodiscard]] bool isSurface(const PixelLayers& pixel, std::uint32_t i) const {
-        return !sheets_ && (!pixel.n || pixel.n[i] == 1) && isDark(pixel, i);
+    [[nodiscard]] Kind kindOf(const PixelLayers& pixel, std::uint32_t i) const {
+        const bool single = !pixel.n || pixel.n[i] == 1;
+        return sheets_ || (single && isDark(pixel, i)) ? Kind::sheets : Kind::media;
     }
 
     /// Way of the centre ray per unit of depth.
@@ -188,8 +189,8 @@ class PixelSlabs {
 
     /// The samples of layer i: spread from the layer before to its own depth. Where they
     /// end dark, the last one blocks and the others take nothing.
-    void translucent(const PixelLayers& pixel, std::uint32_t i, float way,
-                     std::vector<Slab>& out) const {
+    void add(const PixelLayers& pixel, std::uint32_t i, float way,
+             std::vector<Slab>& out) const {
         const bool restart = i == 0 || isDark(pixel, i - 1);
         Depths depth{}, end{};
         bool takes = false, ends = false;
@@ -312,14 +313,14 @@ bool makeLevel(std::uint32_t channels, DensityLevel& level,
     return assemble(tasks, channels, level);
 }
 
-bool makePixels(const ShadowMap& map, std::uint32_t face, bool surfaces,
+bool makePixels(const ShadowMap& map, std::uint32_t face, Kind kind,
                 DensityLevel& level) {
     level.width = map.info().width;
     level.height = map.info().height;
     const PixelSlabs pixels(map, face);
     return makeLevel(map.info().channels, level, [&] {
         return [&](std::uint32_t x, std::uint32_t y, std::vector<Slab>& slabs) {
-            pixels.read(map.pixel(face, x, y), x, y, surfaces, slabs);
+            pixels.read(map.pixel(face, x, y), x, y, kind, slabs);
         };
     });
 }
@@ -404,7 +405,7 @@ class Merger {
     void close(std::vector<Slab>& out) {
         Slab slab{low_, high_, {}};
         if (limits_.thin && high_ <= end_ && thickest_ > 0.0f)
-            slab.low = slab.high = low_ + moment_ / thickest_;
+            slab = thinAt(low_ + moment_ / thickest_);
         // The depth whose transmittance is the mean of the children's.
         for (std::uint32_t c = 0; c < kChannels; ++c) {
             float taken = 0.0f;
@@ -422,7 +423,7 @@ class Merger {
         // Which list has it cannot be foreseen, so no branch asks.
         unsigned whole = 0;
         for (std::size_t k = 0; k < 4; ++k) {
-            const bool isShort = limits_.whole | (lists.length(k) <= shortest_);
+            const bool isShort = limits_.thin | (lists.length(k) <= shortest_);
             whole |= unsigned(isShort & (lists.low[k] <= at)) << k;
         }
         if (whole == 0) return false;
@@ -496,12 +497,8 @@ class Merger {
 template <std::uint32_t kChannels>
 class PixelMerger {
   public:
-    PixelMerger(const ShadowMap& map, std::uint32_t face, bool surfaces, Limits limits)
-        : map_(map),
-          face_(face),
-          surfaces_(surfaces),
-          pixels_(map, face),
-          merger_(limits) {}
+    PixelMerger(const ShadowMap& map, std::uint32_t face, Kind kind, Limits limits)
+        : map_(map), face_(face), kind_(kind), pixels_(map, face), merger_(limits) {}
 
     void operator()(std::uint32_t x, std::uint32_t y, std::vector<Slab>& slabs) {
         const std::uint32_t width = map_.info().width, height = map_.info().height;
@@ -510,7 +507,7 @@ class PixelMerger {
         words_.clear();
         for (std::uint32_t v = 2 * y; v < std::min(2 * y + 2, height); ++v) {
             for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, width); ++u) {
-                pixels_.read(map_.pixel(face_, u, v), u, v, surfaces_, slabs);
+                pixels_.read(map_.pixel(face_, u, v), u, v, kind_, slabs);
                 DensityTexel& texel = texels[count++];
                 const std::size_t begin = words_.size();
                 texel = pack(slabs, kChannels, words_);
@@ -528,7 +525,7 @@ class PixelMerger {
   private:
     const ShadowMap& map_;
     std::uint32_t face_;
-    bool surfaces_;
+    Kind kind_;
     PixelSlabs pixels_;
     Merger<kChannels> merger_;
     ListReaders<kChannels> lists_;
@@ -536,12 +533,12 @@ class PixelMerger {
 };
 
 template <std::uint32_t kChannels>
-bool makeLevel1(const ShadowMap& map, std::uint32_t face, bool surfaces, Limits limits,
+bool makeLevel1(const ShadowMap& map, std::uint32_t face, Kind kind, Limits limits,
                 DensityLevel& level) {
     level.width = (map.info().width + 1) / 2;
     level.height = (map.info().height + 1) / 2;
     return makeLevel(kChannels, level,
-                     [&] { return PixelMerger<kChannels>(map, face, surfaces, limits); });
+                     [&] { return PixelMerger<kChannels>(map, face, kind, limits); });
 }
 
 template <std::uint32_t kChannels>
@@ -564,15 +561,14 @@ bool makeCoarser(const DensityLevel& fine, Limits limits, DensityLevel& level) {
 bool makePyramid(const ShadowMap& map, std::uint32_t face, Kind kind,
                  const DensityOptions& options, DensityPyramid& pyramid) {
     const Projection& p = map.projection(face);
-    const bool surfaces = kind == Kind::surfaces, colour = map.info().channels == 3;
+    const bool colour = map.info().channels == 3;
     pyramid.levels.emplace_back();
     if (options.finest == 0) {
-        if (!makePixels(map, face, surfaces, pyramid.levels[0])) return false;
+        if (!makePixels(map, face, kind, pyramid.levels[0])) return false;
     } else {
         const auto level1 = colour ? makeLevel1<3> : makeLevel1<1>;
         pyramid.levels.emplace_back();
-        if (!level1(map, face, surfaces, limitsOf(p, options, kind, 1),
-                    pyramid.levels[1]))
+        if (!level1(map, face, kind, limitsOf(p, options, kind, 1), pyramid.levels[1]))
             return false;
     }
     if (pyramid.levels.back().slabs.size() == kLanes) {
@@ -612,7 +608,7 @@ Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
     DensityTree tree;
     tree.projection_ = map.projection(face);
     tree.channels_ = map.info().channels;
-    tree.sheets_ = map.info().translucent == Translucent::sheets;
+    tree.ofSheets_ = map.info().translucent == Translucent::sheets;
     tree.width_ = map.info().width;
     tree.height_ = map.info().height;
     const auto coarsest =
@@ -621,10 +617,8 @@ Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
     present.finest = tree.finest_ = std::min(options.finest, coarsest);
     const bool indexable = std::uint64_t(tree.width_) * tree.height_ <= kMostTexels;
     if (!indexable ||
-        !makePyramid(map, face, tree.sheets_ ? Kind::sheets : Kind::media, present,
-                     tree.translucent_) ||
-        (!tree.sheets_ &&
-         !makePyramid(map, face, Kind::surfaces, present, tree.surfaces_)))
+        (!tree.ofSheets_ && !makePyramid(map, face, Kind::media, present, tree.media_)) ||
+        !makePyramid(map, face, Kind::sheets, present, tree.sheets_))
         return base::makeError(
             ErrorCode::tooLarge, "face ", face,
             " has too many pixels or layers for a density tree: bake with a "
@@ -633,7 +627,7 @@ Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
 }
 
 std::uint64_t DensityTree::memoryBytes() const noexcept {
-    return bytesOf(translucent_) + bytesOf(surfaces_);
+    return bytesOf(media_) + bytesOf(sheets_);
 }
 
 namespace {

@@ -19,11 +19,9 @@
 // Sheets are never cut, and those that lie within some footprints of one another become
 // one at the mean of their depths.
 //
-// Surfaces are the layers that block in a map of media: those of one sample that are
-// dark. They have a pyramid of their own, because they count from elsewhere along a ray,
-// are met within the bias, and take the same at any slant. At level 0 they block; above,
-// a texel that they cover in part has the depth -ln(1 - part). A dark sheet is a sheet
-// like others.
+// In a map of media the layers of one sample that are dark are sheets as well: they count
+// from elsewhere along a ray, are met within a bias, and take the same at any slant. They
+// have a pyramid of their own.
 //
 // Built in parallel in the caller's oneTBB arena, the same for any number of threads.
 #pragma once
@@ -112,12 +110,9 @@ class DensityTree {
     [[nodiscard]] std::uint32_t width() const noexcept { return width_; }  ///< pixels
     [[nodiscard]] std::uint32_t height() const noexcept { return height_; }
     [[nodiscard]] std::uint32_t finest() const noexcept { return finest_; }
-    [[nodiscard]] bool isOfSheets() const noexcept { return sheets_; }
-    /// What lets light through.
-    [[nodiscard]] const DensityPyramid& translucent() const noexcept {
-        return translucent_;
-    }
-    [[nodiscard]] const DensityPyramid& surfaces() const noexcept { return surfaces_; }
+    [[nodiscard]] bool isOfSheets() const noexcept { return ofSheets_; }
+    [[nodiscard]] const DensityPyramid& media() const noexcept { return media_; }
+    [[nodiscard]] const DensityPyramid& sheets() const noexcept { return sheets_; }
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
 
   private:
@@ -125,8 +120,8 @@ class DensityTree {
 
     Projection projection_;
     std::uint32_t channels_ = 1, width_ = 0, height_ = 0, finest_ = 0;
-    bool sheets_ = false;
-    DensityPyramid translucent_, surfaces_;
+    bool ofSheets_ = false;
+    DensityPyramid media_, sheets_;
 };
 
 /// The finest level that rays of receivers need beside a near field, which answers until

@@ -392,7 +392,7 @@ TEST_CASE("a texel that is half covered by surfaces lets half of the light throu
                                : std::vector<TestLayer>{};
         });
     const DensityTree tree = treeOf(map);
-    for (std::size_t level = 1; level < tree.surfaces().levels.size(); ++level) {
+    for (std::size_t level = 1; level < tree.sheets().levels.size(); ++level) {
         Ray ray;
         ray.origin = {0.1, 0.1, -6};
         ray.delta = {0, 0, 5};
@@ -659,7 +659,7 @@ TEST_CASE("a density tree is the same for any number of threads", "[trace]") {
     const DensityTree many = treeOf(map);
     tbb::task_arena(1).execute([&] {
         const DensityTree one = treeOf(map);
-        for (const auto pyramid : {&DensityTree::translucent, &DensityTree::surfaces}) {
+        for (const auto pyramid : {&DensityTree::media, &DensityTree::sheets}) {
             const auto& a = (many.*pyramid)().levels;
             const auto& b = (one.*pyramid)().levels;
             REQUIRE(a.size() == b.size());
@@ -690,8 +690,7 @@ TEST_CASE("levels above those left out are the same as with them", "[trace]") {
             DensityOptions options;
             options.finest = finest;
             const DensityTree tree = treeOf(map, options);
-            for (const auto pyramid :
-                 {&DensityTree::translucent, &DensityTree::surfaces}) {
+            for (const auto pyramid : {&DensityTree::media, &DensityTree::sheets}) {
                 const auto& a = (tree.*pyramid)().levels;
                 const auto& b = (whole.*pyramid)().levels;
                 REQUIRE(a.size() == b.size());
@@ -724,8 +723,7 @@ TEST_CASE("levels below the finest asked for are left out", "[trace]") {
     CHECK(traceAll(map, tree, rays, asked) == traceAll(map, whole, rays, asked));
     // However few levels there are.
     options.finest = 100;
-    CHECK(treeOf(map, options).translucent().levels.size() ==
-          whole.translucent().levels.size());
+    CHECK(treeOf(map, options).media().levels.size() == whole.media().levels.size());
 }
 
 TEST_CASE("sheets without a bias are met as the definition meets them", "[trace][twin]") {
@@ -841,8 +839,8 @@ TEST_CASE("an empty map has an empty density tree", "[trace]") {
     const ShadowMap map = mapOf(mediaInfo(8), parallel(8),
                                 [](auto, auto) { return std::vector<TestLayer>{}; });
     const DensityTree tree = treeOf(map);
-    CHECK(tree.translucent().empty());
-    CHECK(tree.surfaces().empty());
+    CHECK(tree.media().empty());
+    CHECK(tree.sheets().empty());
     Ray ray;
     ray.origin = {0, 0, -5};
     ray.delta = {0, 0, 4};
