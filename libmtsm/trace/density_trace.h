@@ -18,8 +18,8 @@
 //   t of the way is at s = t / t1 of an orthographic ray, at s = (t / t1) z1 / (z + t l)
 //   of a perspective one.
 // - begin: where media begin to count, the s of the point kMediaStart pixel footprints
-//   from P, or as few as the map says; with a normal, where the ray is clear of the receiver's plane. Of sheets:
-//   as of surfaces.
+//   from P, or as few as the map says; with a normal, where the ray is clear of the
+//   receiver's plane. Of sheets: as of surfaces.
 // - beginSurfaces: the s of the point kStartBiases times the bias from P, or where the
 //   ray is clear of the receiver's plane. What is in front of `begin` does not count
 //   either way.
@@ -32,8 +32,9 @@
 // How a ray goes. At s it walks the texels of the level whose texels are at most so
 // large, so about as many of each level, and their number grows with the logarithm of
 // resolution. That follows from the ray alone: what shares its bundle changes nothing.
-// Sixteen rays step at a time; texels with something in their way wait in a short queue,
-// and each is then answered with as many of its slabs at once as a vector has lanes.
+// Sixteen rays step at a time, of several rows if these are few; texels with something in
+// their way wait in a short queue, and each is then answered with as many of its slabs at
+// once as a vector has lanes.
 //
 // Against the definition (traverse.h) with spread = 0 and Attenuation::multiply (a map
 // asked with `subtract` stays with the definition):
