@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <utility>
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "trace/density_trace.cpp"
@@ -34,12 +35,15 @@ struct Hits {
     alignas(64) std::int32_t step[kRoom + kLanes];
 };
 
-/// Sixteen rays on their way: one block.
+/// Up to sixteen rays on their way.
 struct March {
+    int count = 0;      // of rays
+    int place[kLanes];  // [ray]: row times kLanes, and lane
     alignas(64) float u[kLanes], v[kLanes], w[kLanes];
     alignas(64) float du[kLanes], dv[kLanes], dw[kLanes];
     alignas(64) float inverseU[kLanes], inverseV[kLanes];
     alignas(64) float begin[kLanes], beginSurfaces[kLanes], end[kLanes];
+    alignas(64) float spread[kLanes];    // RayBundle's
     alignas(64) float perTexel[kLanes];  // s at which a texel may be one pixel
     alignas(64) float stretch[kLanes];
     std::uint32_t open = 0;
@@ -91,22 +95,31 @@ class Kernel {
           perspective_(tree.projection().kind == ProjectionKind::perspective),
           ofSheets_(tree.isOfSheets()) {}
 
-    void trace(RayBundle& bundle, int row, RayDepths& depths) {
-        setUp(bundle, row);
+    /// Takes the open rays of a row, which there must be room for.
+    void take(const RayBundle& bundle, int row);
+    [[nodiscard]] bool hasRoom(int rays) const { return march_.count + rays <= kLanes; }
+
+    /// Traces the rays that were taken.
+    void trace(RayBundle& bundle, RayDepths& depths) {
+        setUp();
         const std::size_t levels =
             std::max(tree_.media().levels.size(), tree_.sheets().levels.size());
         for (std::size_t level = tree_.finest(); level < levels && march_.open; ++level) {
             const bool last = level + 1 == levels;
             walk(int(level), last);
-            settle(row, depths);
+            settle(depths);
         }
         // What reached the dark in this face or before is closed.
-        bundle.open[row] = std::uint16_t(bundle.open[row] & ~dark_);
+        for (std::uint32_t rest = dark_; rest != 0; rest &= rest - 1) {
+            const int place = march_.place[std::countr_zero(rest)];
+            bundle.open[place / kLanes] &= std::uint16_t(~(1u << place % kLanes));
+        }
+        march_.count = 0;
     }
 
   private:
-    /// Rays into march_, cut to where something may be met.
-    void setUp(const RayBundle& bundle, int row);
+    /// Cuts the rays to where something may be met.
+    void setUp();
     /// Walks the rays through one level.
     void walk(int level, bool last);
     /// Answers what waits.
@@ -115,7 +128,7 @@ class Kernel {
     /// Makes room for what a ray meets in a level.
     void beginSums(int ray);
     /// Adds the sums of a level to the depths.
-    void settle(int row, RayDepths& depths);
+    void settle(RayDepths& depths);
 
     // A texel that rays first .. first + lanes - 1 cross between two w; those of `alive`.
     template <class V, class VI, class M>
@@ -269,26 +282,55 @@ class Kernel {
     March march_;
 };
 
-void Kernel::setUp(const RayBundle& bundle, int row) {
+void Kernel::take(const RayBundle& bundle, int row) {
+    const int receiver = row / bundle.groups, first = march_.count;
+    const std::uint32_t open = bundle.open[row];
+    const std::pair<const float*, float*> ofRays[] = {
+        {bundle.du[row], march_.du},
+        {bundle.dv[row], march_.dv},
+        {bundle.dw[row], march_.dw},
+        {bundle.begin[row], march_.begin},
+        {bundle.beginSurfaces[row], march_.beginSurfaces}};
+    int lane[kLanes], count = 0;
+    for (std::uint32_t rest = open; rest != 0; rest &= rest - 1)
+        lane[count++] = std::countr_zero(rest);
+    for (const auto& [from, to] : ofRays) {
+        if (count == kLanes)
+            std::copy_n(from, kLanes, to);
+        else
+            for (int i = 0; i < count; ++i)
+                to[first + i] = from[lane[i]];
+    }
+    for (int i = 0; i < count; ++i)
+        march_.place[first + i] = row * kLanes + lane[i];
+    std::fill_n(march_.u + first, count, bundle.u[receiver]);
+    std::fill_n(march_.v + first, count, bundle.v[receiver]);
+    std::fill_n(march_.w + first, count, bundle.w[receiver]);
+    std::fill_n(march_.spread + first, count, bundle.spread[receiver]);
+    march_.count += count;
+}
+
+void Kernel::setUp() {
     const Floats d;
     const int lanes = int(hn::Lanes(d));
     march_.open = 0;
     dark_ = 0;
-    const int receiver = row / bundle.groups;
+    for (float* all : {march_.u, march_.v, march_.w, march_.spread, march_.du, march_.dv,
+                       march_.dw, march_.begin, march_.beginSurfaces})
+        std::fill(all + march_.count, all + kLanes, 0.0f);
     for (int i = 0; i < kLanes; i += lanes) {
         const auto zero = hn::Zero(d), one = hn::Set(d, 1.0f), most = hn::Set(d, 1e30f);
-        const auto u = hn::Set(d, bundle.u[receiver]), v = hn::Set(d, bundle.v[receiver]),
-                   w = hn::Set(d, bundle.w[receiver]);
-        const auto du = hn::Load(d, bundle.du[row] + i),
-                   dv = hn::Load(d, bundle.dv[row] + i),
-                   dw = hn::Load(d, bundle.dw[row] + i);
-        auto begin = hn::Load(d, bundle.begin[row] + i);
-        auto beginSurfaces = hn::Load(d, bundle.beginSurfaces[row] + i);
+        const auto u = hn::Load(d, march_.u + i), v = hn::Load(d, march_.v + i),
+                   w = hn::Load(d, march_.w + i);
+        const auto du = hn::Load(d, march_.du + i), dv = hn::Load(d, march_.dv + i),
+                   dw = hn::Load(d, march_.dw + i);
+        auto begin = hn::Load(d, march_.begin + i);
+        auto beginSurfaces = hn::Load(d, march_.beginSurfaces + i);
         // At s = 1. What closes a tilted sheet darkens it the more the larger texels are.
         const float part = ofSheets_ ? 0.5f : 1.0f;
-        const auto texel =
-            hn::Mul(hn::Set(d, part * bundle.spread[receiver]), hn::Abs(dw));
-        auto open = maskOf(d, std::uint32_t(bundle.open[row]) >> i);
+        const auto texel = hn::Mul(
+            hn::Mul(hn::Set(d, part), hn::Load(d, march_.spread + i)), hn::Abs(dw));
+        auto open = maskOf(d, ((1u << march_.count) - 1) >> i);
         const auto check = [&](auto x) {
             open = hn::And(open, hn::Lt(hn::Abs(x), most));  // false for NaN
         };
@@ -307,12 +349,6 @@ void Kernel::setUp(const RayBundle& bundle, int row) {
         clip(w, inverse(d, dw), low, high, begin, end);
         open = hn::And(open, hn::Lt(begin, end));
 
-        hn::Store(u, d, march_.u + i);
-        hn::Store(v, d, march_.v + i);
-        hn::Store(w, d, march_.w + i);
-        hn::Store(du, d, march_.du + i);
-        hn::Store(dv, d, march_.dv + i);
-        hn::Store(dw, d, march_.dw + i);
         hn::Store(inverseU, d, march_.inverseU + i);
         hn::Store(inverseV, d, march_.inverseV + i);
         hn::Store(begin, d, march_.begin + i);
@@ -565,7 +601,7 @@ void Kernel::beginSums(int ray) {
     }
 }
 
-void Kernel::settle(int row, RayDepths& depths) {
+void Kernel::settle(RayDepths& depths) {
     const Floats d;
     for (std::uint32_t left = march_.met; left != 0; left &= left - 1) {
         const int ray = std::countr_zero(left);
@@ -573,7 +609,8 @@ void Kernel::settle(int row, RayDepths& depths) {
         for (std::uint32_t c = 0; c < tree_.channels(); ++c) {
             const float media =
                 hn::GetLane(hn::SumOfLanes(d, hn::Load(d, march_.sum[c][ray])));
-            float& depth = depths.depth[c][row][ray];
+            const int place = march_.place[ray];
+            float& depth = depths.depth[c][place / kLanes][place % kLanes];
             depth += media * march_.stretch[ray] + march_.sheetSum[c][ray];
             dark = dark && depth >= options_.darkDepth;
         }
@@ -587,9 +624,13 @@ void traceDensityAt(const DensityTree& tree, const DensityTraceOptions& options,
                     RayBundle& bundle, RayDepths& depths) {
     if (tree.media().empty() && tree.sheets().empty()) return;
     Kernel kernel(tree, options);
+    // Rows of few rays share a way: as many as have room.
     for (int row = 0; row < bundle.receivers * bundle.groups; ++row) {
-        if (bundle.open[row]) kernel.trace(bundle, row, depths);
+        if (!kernel.hasRoom(std::popcount(bundle.open[row])))
+            kernel.trace(bundle, depths);
+        kernel.take(bundle, row);
     }
+    kernel.trace(bundle, depths);
 }
 
 }  // namespace HWY_NAMESPACE

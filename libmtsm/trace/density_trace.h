@@ -12,8 +12,8 @@
 // What a caller fills in (bundle.h). For a receiver P of depth z, L its way to a point of
 // the light, whose depth along L changes by l: the ray ends at t1 of its way, at depth
 // z1 = z + t1 l, and that is at the latest where it leaves the depths of the map
-// (DensityPyramid::low and high; two biases further for sheets) and always
-// in front of the eye.
+// (DensityPyramid::low and high; two biases further for sheets) and always in front of
+// the eye.
 // - u, v, w: P's raster position and 1/z (perspective) or -z (orthographic). The point at
 //   t of the way is at s = t / t1 of an orthographic ray, at s = (t / t1) z1 / (z + t l)
 //   of a perspective one.
@@ -21,9 +21,8 @@
 //   from P, or as few as the map says; with a normal, where the ray is clear of the
 //   receiver's plane. In maps of sheets: as beginSurfaces.
 // - beginSurfaces: where sheets begin to count, the s of the point kStartBiases times the
-// bias from P, or where the
-//   ray is clear of the receiver's plane. What is in front of `begin` does not count
-//   either way.
+//   bias from P, or where the ray is clear of the receiver's plane. What is in front of
+//   `begin` does not count either way.
 // - spread: a texel at s may be as large as spread dw s pixels (half of that for sheets),
 //   as far as neighbouring rays are apart there (tests/bench/NOTES.md). A ray that comes
 //   from another face begins where it enters this one: its texels are then finer than
@@ -33,8 +32,9 @@
 // How a ray goes. At s it walks the texels of the level whose texels are at most so
 // large, so about as many of each level, and their number grows with the logarithm of
 // resolution. That follows from the ray alone: what shares its bundle changes nothing.
-// Sixteen rays step at a time; texels with something in their way wait in a short queue,
-// and each is then answered with as many of its slabs at once as a vector has lanes.
+// Sixteen rays step at a time, of several rows if these are few; texels with something in
+// their way wait in a short queue, and each is then answered with as many of its slabs at
+// once as a vector has lanes.
 //
 // Against the definition (traverse.h) with spread = 0 and Attenuation::multiply (a map
 // asked with `subtract` stays with the definition):
