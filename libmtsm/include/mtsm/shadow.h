@@ -126,6 +126,22 @@ void prepareQueries(const ShadowMap& map) noexcept;
 /// prepareQueries makes, which is made if need be.
 [[nodiscard]] std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept;
 
+/// For renderers that only shade: makes what prepareQueries makes and then lets go of the
+/// layers, which `trace` asks for hardly anything more. Until it returns both are there.
+/// The map keeps its trees and near field; shadow factors by `trace` stay the same to the
+/// last bit, but for points that went ray by ray (above): those go through the trees as
+/// well, without the near field, from the starts of receivers without a normal. So does
+/// every ray of a caller's; one that runs level to within 1/4096 of its depth is tilted
+/// to that. Everything else needs layers: checkQuery() refuses `scalar`, `pcf` and, but
+/// of opaque maps, Attenuation::subtract (unchecked they are answered as by `trace` and
+/// multiply); writeMap() is an error, pixels are empty, identical() says no. Copies made
+/// before keep their layers, copies made after have none.
+///
+/// Nothing else may use this map meanwhile. Errors, all of which leave the map as it was:
+/// tooLarge (no memory for the trees; queries then go ray by ray), unsupported (a map
+/// that `trace` follows ray by ray). A map without a layer has nothing to let go of.
+Status releaseLayers(ShadowMap& map);
+
 /// What batches met: each adds to what is there.
 struct QueryStats {
     std::uint64_t points = 0, rays = 0;
