@@ -509,7 +509,10 @@ const char* kindText(MapKind kind) {
 void chooseSettings(const Arguments& a, const CLI::App& app, CasterSource& casters,
                     Talk& talk, BakeOptions& bake) {
     const float error = *a.quality.meanError();
-    const MapSettings chosen = mapSettingsFor(unwrap(measureCasters(casters)), error);
+    MapForm form{bake.cube, bake.color};
+    if (app.count("--near-field")) form.nearField = bake.nearField > 0;
+    const MapSettings chosen =
+        mapSettingsFor(unwrap(measureCasters(casters)), error, form);
     std::string text;
     const auto choose = [&](const char* option, const std::string& value, auto&& set) {
         if (app.count(option)) return;

@@ -95,6 +95,21 @@ bool looksRight(const Tile& t, std::uint32_t channels) {
                           }) == 0;
 }
 
+/// What vectors grew by and do not use: up to as much again.
+void dropSpare(MapFace& face) {
+    base::parallelFor(std::size_t(0), face.tiles.size(), [&](std::size_t i) {
+        Tile& t = face.tiles[i];
+        t.begin.shrink_to_fit();
+        t.z.shrink_to_fit();
+        t.v.shrink_to_fit();
+        t.n.shrink_to_fit();
+    });
+    face.nearField.chunks.shrink_to_fit();
+    face.nearHair.chunks.shrink_to_fit();
+    face.nearSheets.triangles.chunks.shrink_to_fit();
+    face.nearSheets.chunks.shrink_to_fit();
+}
+
 }  // namespace
 
 Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
@@ -113,6 +128,8 @@ Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
             map.isOpaque_ = map.isOpaque_ && t.v.empty();
         }
     }
+    for (MapFace& face : map.faces_)
+        dropSpare(face);
     map.buildHierarchy();
     for (std::uint32_t face = 0; face < map.faceCount(); ++face)
         map.faceRanges_[face] = map.zRange(face, map.levels_ - 1, 0, 0);

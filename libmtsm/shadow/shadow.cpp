@@ -317,18 +317,24 @@ std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept {
     return bytes;
 }
 
-Status releaseLayers(ShadowMap& map) {
+Status releaseLayers(ShadowMap& map) noexcept {
     if (!map.hasLayers() || map.layerCount() == 0) return {};
-    if (!shadow::fitsTrees(map))
-        return makeError(ErrorCode::unsupported, "queries of a map with ",
-                         map.layerCount(), " layers in ", map.faceCount(),
-                         " faces go through its layers, which stay: they can go of maps ",
-                         "with at most ", shadow::kMostLayers,
-                         " layers and one face or the six of a cube");
-    if (!hasTrees(map))
-        return makeError(ErrorCode::tooLarge, "not enough memory for what queries of ",
-                         map.layerCount(), " layers go through in their place: ",
-                         "the layers stay, and queries go through them, slowly");
+    try {
+        if (!shadow::fitsTrees(map))
+            return makeError(ErrorCode::unsupported, "queries of a map with ",
+                             map.layerCount(), " layers in ", map.faceCount(),
+                             " faces go through its layers, which stay: they can go of "
+                             "maps with at most ",
+                             shadow::kMostLayers,
+                             " layers and one face or the six of a cube");
+        if (!hasTrees(map))
+            return makeError(ErrorCode::tooLarge, "not enough memory for the trees over ",
+                             map.layerCount(),
+                             " layers: the layers stay, and queries go "
+                             "through them, slowly");
+    } catch (const std::bad_alloc&) {  // for the message
+        return Error{ErrorCode::tooLarge, "out of memory"};
+    }
     map.dropLayers();
     return {};
 }

@@ -247,7 +247,7 @@ class ShadowMap {
         std::vector<ZRange> nodes;  // row-major
     };
     ShadowMap() = default;
-    friend Status releaseLayers(ShadowMap& map);
+    friend Status releaseLayers(ShadowMap& map) noexcept;
     void dropLayers() noexcept;
     Status checkShape() const;
     Status checkTiles() const;

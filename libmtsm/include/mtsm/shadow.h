@@ -140,7 +140,7 @@ void prepareQueries(const ShadowMap& map) noexcept;
 /// Nothing else may use this map meanwhile. Errors, all of which leave the map as it was:
 /// tooLarge (no memory for the trees; queries then go ray by ray), unsupported (a map
 /// that `trace` follows ray by ray). A map without a layer has nothing to let go of.
-Status releaseLayers(ShadowMap& map);
+Status releaseLayers(ShadowMap& map) noexcept;
 
 /// What batches met: each adds to what is there.
 struct QueryStats {
