@@ -491,7 +491,7 @@ const char* kindText(MapKind kind) {
         case MapKind::nearField:
             return "opaque triangles, kept whole beside the layers";
         case MapKind::surfaces:
-            return "opaque triangles, too many to be kept beside the layers";
+            return "opaque triangles, not kept beside the layers";
         case MapKind::nearSheets:
             return "triangles that let light through, kept whole beside the layers";
         case MapKind::nearHair:
