@@ -97,11 +97,12 @@ ShadowMap halfPlane(float v) {
     info.light.radius = 0.2;
     info.light.direction = {0, 0, -1};
     info.bias = 0.05f;
-    return test::mapOf(info, test::plainProjection(32, 32),
-                       [v](std::uint32_t x, std::uint32_t) {
-                           return x < 16 ? std::vector<test::TestLayer>{{2.0f, v, 1}}
-                                         : std::vector<test::TestLayer>{};
-                       });
+    const ShadowMap map = test::mapOf(
+        info, test::plainProjection(32, 32), [v](std::uint32_t x, std::uint32_t) {
+            return x < 16 ? std::vector<test::TestLayer>{{2.0f, v, 1}}
+                          : std::vector<test::TestLayer>{};
+        });
+    return v > 0.0f ? map : test::opaqueOf(map);
 }
 
 }  // namespace
