@@ -156,6 +156,23 @@ inline ShadowMap mapOf(
         [&](std::uint32_t, std::uint32_t x, std::uint32_t y) { return pixel(x, y); });
 }
 
+/// The same map, all of whose layers are opaque, as a bake has it: without v and n.
+inline ShadowMap opaqueOf(const ShadowMap& map) {
+    std::vector<MapFace> faces(map.faceCount());
+    for (std::uint32_t f = 0; f < map.faceCount(); ++f) {
+        faces[f].projection = map.projection(f);
+        for (std::uint32_t ty = 0; ty < map.tilesY(); ++ty) {
+            for (std::uint32_t tx = 0; tx < map.tilesX(); ++tx) {
+                const Tile& t = map.tile(f, tx, ty);
+                faces[f].tiles.push_back({t.begin, t.z, {}, {}});
+            }
+        }
+    }
+    auto opaque = ShadowMap::create(map.info(), std::move(faces));
+    if (!opaque) throw std::runtime_error(opaque.error().message);
+    return *std::move(opaque);
+}
+
 /// Views of 90 degrees to all sides of `eye`, along the axes of the world, or of the
 /// world turned by `turn`.
 inline std::vector<Projection> cubeProjections(std::uint32_t width, glm::dvec3 eye = {},

@@ -491,7 +491,7 @@ const char* kindText(MapKind kind) {
         case MapKind::nearField:
             return "opaque triangles, kept whole beside the layers";
         case MapKind::surfaces:
-            return "opaque triangles, too many to be kept beside the layers";
+            return "opaque triangles, not kept beside the layers";
         case MapKind::nearSheets:
             return "triangles that let light through, kept whole beside the layers";
         case MapKind::nearHair:
@@ -509,7 +509,10 @@ const char* kindText(MapKind kind) {
 void chooseSettings(const Arguments& a, const CLI::App& app, CasterSource& casters,
                     Talk& talk, BakeOptions& bake) {
     const float error = *a.quality.meanError();
-    const MapSettings chosen = mapSettingsFor(unwrap(measureCasters(casters)), error);
+    MapForm form{bake.cube, bake.color};
+    if (app.count("--near-field")) form.nearField = bake.nearField > 0;
+    const MapSettings chosen =
+        mapSettingsFor(unwrap(measureCasters(casters)), error, form);
     std::string text;
     const auto choose = [&](const char* option, const std::string& value, auto&& set) {
         if (app.count(option)) return;

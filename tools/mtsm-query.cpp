@@ -393,6 +393,7 @@ struct Results {
     std::vector<float> error;  ///< expected, of the mean of the channels; if asked for
     QueryStats stats;
     double seconds = 0, prepareSeconds = 0;
+    std::optional<std::uint64_t> memoryBytes;  ///< that the map took meanwhile
     /// Expected, if it is known: the mean over points that are surfaces, and the map's.
     std::optional<double> sampleError, mapError;
     std::uint64_t noNormal = 0;  ///< points whose normal has no direction
@@ -678,6 +679,7 @@ nlohmann::ordered_json statsJson(const Arguments& a, const Receivers& r,
     j["rays"] = s.rays;
     j["prepareSeconds"] = results.prepareSeconds;
     j["seconds"] = results.seconds;
+    if (results.memoryBytes) j["memoryBytes"] = *results.memoryBytes;
     j["raysPerSecond"] = results.seconds > 0 ? double(s.rays) / results.seconds : 0.0;
     j["notFinite"] = s.notFinite;
     j["behindLight"] = s.behindLight;
@@ -723,7 +725,9 @@ void sayStats(const Arguments& a, const Receivers& r, const Results& results,
             ", " + secondsText(results.seconds) + ", " +
             countText(std::uint64_t(double(s.rays) / std::max(results.seconds, 1e-9))) +
             " rays per second; " + secondsText(results.prepareSeconds) +
-            " before, to make the map ready");
+            " before, to make the map ready" +
+            (results.memoryBytes ? "; it takes " + bytesText(*results.memoryBytes)
+                                 : std::string()));
         if (results.sampleError && results.mapError)
             talk.answer("expected mean error: " + errorText(*results.sampleError) +
                         " of the samples, about " + errorText(*results.mapError) +
@@ -783,7 +787,15 @@ void runRays(const Arguments& a, const ShadowMap& map, Talk& talk) {
     report(a, Kind::rays, {}, results, talk);
 }
 
-void runPoints(const Arguments& a, const CLI::App& app, Kind kind, const ShadowMap& map,
+/// Of the map only what queries with these options go through.
+void makeReady(const ShadowOptions& options, ShadowMap& map) {
+    if (options.method != ShadowMethod::trace) return;
+    prepareQueries(map);
+    // A map that cannot do without its layers keeps them.
+    if (options.attenuation == Attenuation::multiply) (void)releaseLayers(map);
+}
+
+void runPoints(const Arguments& a, const CLI::App& app, Kind kind, ShadowMap& map,
                Talk& talk) {
     AreaLight light = map.info().light;
     if (const auto shape = a.light.shape(); shape && a.light.shapeIndex)
@@ -806,12 +818,14 @@ void runPoints(const Arguments& a, const CLI::App& app, Kind kind, const ShadowM
             "--weight: cosine needs the receiver's normals: columns nx,ny,nz");
     refuseLongJson(a, isPicture(kind) ? 0 : r.count);
     const auto start = std::chrono::steady_clock::now();
-    if (options.method == ShadowMethod::trace) prepareQueries(map);
+    makeReady(options, map);
     if (a.quality.meanError())
         options = plannedOptions(a, app, map, light, options, r, talk);
     const double prepareSeconds = since(start);
     Results results = queryPoints(map, light, options, wantsErrors(a, options), r, talk);
     results.prepareSeconds = prepareSeconds;
+    results.memoryBytes =
+        options.method == ShadowMethod::trace ? queryMemoryBytes(map) : map.memoryBytes();
     results.mapError = mapError(map);
     if (kind == Kind::point) results.noNormal = 0;  // none was given
     if (isPicture(kind) && extension(a.output) != ".csv")
@@ -828,7 +842,7 @@ void run(const Arguments& a, const CLI::App& app, Talk& talk) {
     if (!a.output.empty())
         checkOutput(a.output,
                     {a.map, a.pointsFile, a.raysFile, a.positionFile, a.normalFile});
-    const ShadowMap map = unwrap(readMap(a.map, readLimits(a.maxMemory)));
+    ShadowMap map = unwrap(readMap(a.map, readLimits(a.maxMemory)));
     if (kind == Kind::rays)
         runRays(a, map, talk);
     else

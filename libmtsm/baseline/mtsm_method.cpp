@@ -10,9 +10,11 @@ namespace {
 class MtsmMethod final : public Method {
   public:
     /// `traced`: by ShadowMethod::trace, which needs more than the map. It is made here,
-    /// so that it counts as part of the build.
-    MtsmMethod(ShadowMap map, bool traced) : map_(std::move(map)) {
+    /// so that it counts as part of the build. `lean`: and needs no layers.
+    MtsmMethod(ShadowMap map, bool traced, bool lean) : map_(std::move(map)) {
         if (traced) prepareQueries(map_);
+        // A map that cannot do without its layers keeps them.
+        if (lean) (void)releaseLayers(map_);
         memoryBytes_ = traced ? queryMemoryBytes(map_) : map_.memoryBytes();
     }
 
@@ -63,15 +65,17 @@ Result<std::unique_ptr<Method>> build(const MethodScene& scene,
     if (const auto error = float(settings.number("target-error")); error > 0.0f) {
         const auto casters = measureCasters(scene.casters);
         if (!casters) return casters.error();
-        const MapSettings chosen = mapSettingsFor(*casters, error);
+        const MapSettings chosen =
+            mapSettingsFor(*casters, error, {scene.bake.cube, scene.bake.color});
         options.width = options.height = chosen.resolution;
         options.tolerance = chosen.tolerance;
         options.nearField = chosen.nearField;
     }
     auto baked = bake(scene.casters, options);
     if (!baked) return baked.error();
-    return std::unique_ptr<Method>(
-        new MtsmMethod(std::move(baked->map), settings.word("lookup") == "trace"));
+    const bool traced = settings.word("lookup") == "trace";
+    const bool lean = traced && settings.word("attenuation") == "multiply";
+    return std::unique_ptr<Method>(new MtsmMethod(std::move(baked->map), traced, lean));
 }
 
 }  // namespace
@@ -107,7 +111,8 @@ MethodInfo mtsmMethod() {
         wordSetting("lookup", {"trace", "scalar", "pcf"},
                     "traced, traced ray by ray, or filtered as small lights may",
                     SettingUse::build),
-        wordSetting("attenuation", {"multiply", "subtract"}, "how samples add up"),
+        wordSetting("attenuation", {"multiply", "subtract"},
+                    "how samples add up; subtract keeps the layers", SettingUse::build),
     };
     info.build = build;
     return info;

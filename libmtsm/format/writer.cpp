@@ -70,6 +70,9 @@ class MapWriter {
     }
 
     Status run() {
+        if (!map_.hasLayers())
+            return makeError(ErrorCode::badArgument, "the map has no layers to write: ",
+                             "releaseLayers() let them go; write it before");
         const Result<Bytes> head = encodeHead(map_);
         if (!head) return head.error();
         const Result<Bytes> attributes = encodeAttributes(map_.info().attributes);

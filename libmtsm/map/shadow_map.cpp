@@ -95,6 +95,21 @@ bool looksRight(const Tile& t, std::uint32_t channels) {
                           }) == 0;
 }
 
+/// What vectors grew by and do not use: up to as much again.
+void dropSpare(MapFace& face) {
+    base::parallelFor(std::size_t(0), face.tiles.size(), [&](std::size_t i) {
+        Tile& t = face.tiles[i];
+        t.begin.shrink_to_fit();
+        t.z.shrink_to_fit();
+        t.v.shrink_to_fit();
+        t.n.shrink_to_fit();
+    });
+    face.nearField.chunks.shrink_to_fit();
+    face.nearHair.chunks.shrink_to_fit();
+    face.nearSheets.triangles.chunks.shrink_to_fit();
+    face.nearSheets.chunks.shrink_to_fit();
+}
+
 }  // namespace
 
 Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
@@ -113,7 +128,11 @@ Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
             map.isOpaque_ = map.isOpaque_ && t.v.empty();
         }
     }
+    for (MapFace& face : map.faces_)
+        dropSpare(face);
     map.buildHierarchy();
+    for (std::uint32_t face = 0; face < map.faceCount(); ++face)
+        map.faceRanges_[face] = map.zRange(face, map.levels_ - 1, 0, 0);
     map.queryData_ = std::make_shared<base::Lazy>();
     for (MapFace& face : map.faces_) {
         map_detail::buildBoxes(face);
@@ -285,6 +304,7 @@ PixelLayers ShadowMap::pixel(std::uint32_t face, std::uint32_t x,
 
 ZRange ShadowMap::zRange(std::uint32_t face, std::uint32_t level, std::uint32_t x,
                          std::uint32_t y) const noexcept {
+    if (!hasLayers_) return faceRanges_[face];
     if (level == 0) {
         const PixelLayers layers = pixel(face, x, y);
         if (layers.count == 0) return {};
@@ -292,6 +312,15 @@ ZRange ShadowMap::zRange(std::uint32_t face, std::uint32_t level, std::uint32_t 
     }
     const Level& l = hierarchy_[face][level - 1];
     return l.nodes[std::size_t(y) * l.width + x];
+}
+
+void ShadowMap::dropLayers() noexcept {
+    hasLayers_ = false;
+    for (MapFace& face : faces_) {
+        for (Tile& t : face.tiles)
+            t = Tile();
+    }
+    hierarchy_ = {};
 }
 
 /// Each level halves the one below, rounding up; a node holds what its up to four
@@ -445,7 +474,9 @@ bool same(const PixelLayers& a, const PixelLayers& b, std::uint32_t channels) {
 }  // namespace
 
 bool identical(const ShadowMap& a, const ShadowMap& b) noexcept {
-    if (!same(a.info(), b.info()) || a.faceCount() != b.faceCount()) return false;
+    if (!a.hasLayers() || !b.hasLayers() || !same(a.info(), b.info()) ||
+        a.faceCount() != b.faceCount())
+        return false;
     for (std::uint32_t face = 0; face < a.faceCount(); ++face) {
         if (!same(a.projection(face), b.projection(face)) ||
             !map_detail::sameChunks(a.nearField(face), b.nearField(face)) ||

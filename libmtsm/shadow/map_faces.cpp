@@ -9,9 +9,6 @@
 namespace mtsm::shadow {
 namespace {
 
-/// Trees count in 32 bits, and a layer takes several of what they count.
-constexpr std::uint64_t kMostLayers = std::uint64_t(1) << 28;
-
 /// Do the faces share out space among them, with windows of 90 degrees?
 bool isCube(const ShadowMap& map) {
     constexpr double kSlack = 1e-9;
@@ -45,9 +42,13 @@ bool isCube(const ShadowMap& map) {
 
 }  // namespace
 
-bool hasTrees(const ShadowMap& map, Attenuation attenuation, trace::DensityUse use) {
+bool fitsTrees(const ShadowMap& map) {
     if (map.layerCount() == 0 || map.layerCount() > kMostLayers) return false;
-    if (map.faceCount() > 1 && !isCube(map)) return false;
+    return map.faceCount() == 1 || isCube(map);
+}
+
+bool hasTrees(const ShadowMap& map, Attenuation attenuation, trace::DensityUse use) {
+    if (!fitsTrees(map)) return false;
     if (map.isOpaque()) return trace::patchTrees(map);
     return attenuation == Attenuation::multiply && trace::densityTrees(map, use);
 }

@@ -185,7 +185,8 @@ MapKind kindOf(const ShadowMap& map) noexcept {
         sheets = sheets || !map.nearSheets(face).empty();
         hair = hair || !map.nearHair(face).empty();
     }
-    if (hair) return MapKind::nearHair;
+    // Six faces' strands are not asked for (shadow/bundle_query.h).
+    if (hair) return map.faceCount() == 1 ? MapKind::nearHair : MapKind::hair;
     if (sheets) return MapKind::nearSheets;
     if (map.isOpaque()) return triangles ? MapKind::nearField : MapKind::surfaces;
     return map.info().translucent == Translucent::sheets ? MapKind::sheets
@@ -205,17 +206,19 @@ float mapError(const ShadowMap& map) noexcept {
 
 namespace {
 
-/// Kind and near field for casters; the kind without one where it would be too large.
-void chooseKind(const CasterMeasures& casters, MapSettings& settings) noexcept {
+/// Kind and near field for casters; the kind without one where it would be too large, or
+/// of no use.
+void chooseKind(const CasterMeasures& casters, const MapForm& form,
+                MapSettings& settings) noexcept {
     const bool opaque = !casters.letThrough && !casters.volumes;
     const bool sheets = casters.letThrough && !casters.volumes && !casters.strands;
     const std::uint64_t bytes = sheets ? kSheetBytes : kTriangleBytes;
-    const bool fits = casters.triangles <= kMostNearField / bytes;
+    const bool fits = form.nearField && casters.triangles <= kMostNearField / bytes;
     if (opaque && !casters.strands) {
         settings.kind = fits ? MapKind::nearField : MapKind::surfaces;
         if (fits)
             settings.nearField = std::max(kUsualNearField, casters.triangles * bytes);
-    } else if (fits && (opaque || sheets)) {
+    } else if (fits && !form.cube && (opaque || (sheets && !form.color))) {
         settings.kind = sheets ? MapKind::nearSheets : MapKind::nearHair;
         settings.nearField = kMostNearField;
     } else {
@@ -227,10 +230,11 @@ void chooseKind(const CasterMeasures& casters, MapSettings& settings) noexcept {
 
 }  // namespace
 
-MapSettings mapSettingsFor(const CasterMeasures& casters, float meanError) noexcept {
+MapSettings mapSettingsFor(const CasterMeasures& casters, float meanError,
+                           const MapForm& form) noexcept {
     MapSettings settings;
     settings.tolerance = std::clamp(meanError, 0.002f, 0.02f);
-    chooseKind(casters, settings);
+    chooseKind(casters, form, settings);
     const float budget = meanError * (1.0f - kSamplesShare);
     const Choice choice = choiceFor(settings.kind, meanError);
     for (const std::uint32_t resolution : kResolutions) {

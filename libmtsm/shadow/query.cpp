@@ -47,6 +47,11 @@ Query::Query(const ShadowMap& map, const AreaLight& light, const ShadowOptions& 
     if (options.method != ShadowMethod::trace) options_.targetError = 0.0f;
     errors_ = errors_ || options_.targetError > 0.0f;
     steps_ = SampleSteps::of(options_, samples);
+    if (map.hasLayers()) return;
+    RayOptions rays;
+    rays.bias = options.bias;
+    rays.threshold = options.threshold;
+    rays_.emplace(map, rays);
 }
 
 Answer Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
@@ -152,6 +157,7 @@ float Query::errorOf(SeenSample* seen, std::uint32_t samples) const noexcept {
 
 trace::ChannelVisibility Query::traced(const Receiver& receiver,
                                        const light::LightSample& sample) const noexcept {
+    if (rays_) return tracedWithoutLayers(receiver, sample);
     trace::Ray ray;
     ray.origin = receiver.point;
     ray.delta = sample.delta;
@@ -163,6 +169,22 @@ trace::ChannelVisibility Query::traced(const Receiver& receiver,
         ray.tBegin = media_ ? receiver.mediaStart / length : ray.tSurfaces;
     }
     return trace::traceRay(map_, ray, traceOptions(receiver));
+}
+
+/// Whether there is a normal or not, rays start away from the receiver's own surface.
+trace::ChannelVisibility Query::tracedWithoutLayers(
+    const Receiver& receiver, const light::LightSample& sample) const noexcept {
+    const double length = glm::length(sample.delta);
+    if (!(length > 0.0)) return {1.0f, 1.0f, 1.0f};
+    const double start =
+        media_ && !receiver.hasNormal ? receiver.mediaStart : receiver.surfaceStart;
+    ShadowRay ray;
+    ray.direction = sample.delta / length;
+    ray.origin = receiver.point + start * ray.direction;
+    ray.length = sample.endless ? HUGE_VAL : length - start;
+    glm::vec3 visible;
+    rays_->look(&ray, 1, &visible);
+    return {visible.x, visible.y, visible.z};
 }
 
 trace::TraceOptions Query::traceOptions(const Receiver& receiver) const noexcept {

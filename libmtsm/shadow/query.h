@@ -1,12 +1,14 @@
 // query.h - one shading point made ready for its rays.
 #pragma once
 #include <glm/vec3.hpp>
+#include <optional>
 
 #include "base/finite.h"
 #include "base/sampling.h"
 #include "light/sample.h"
 #include "mtsm/map.h"
 #include "mtsm/shadow.h"
+#include "shadow/ray_query.h"
 #include "shadow/sample_error.h"
 #include "trace/traverse.h"
 
@@ -84,6 +86,8 @@ class Query {
     [[nodiscard]] float errorOf(SeenSample* seen, std::uint32_t samples) const noexcept;
     [[nodiscard]] trace::ChannelVisibility traced(
         const Receiver& receiver, const light::LightSample& sample) const noexcept;
+    [[nodiscard]] trace::ChannelVisibility tracedWithoutLayers(
+        const Receiver& receiver, const light::LightSample& sample) const noexcept;
     [[nodiscard]] trace::ChannelVisibility filtered(
         const Receiver& receiver, const light::LightSample& sample) const noexcept;
     [[nodiscard]] Lookup lookupOnFace(const Receiver& receiver,
@@ -102,6 +106,7 @@ class Query {
     double mediaStart_;  // footprints
     bool errors_;        // do answers have them?
     SampleSteps steps_;
+    std::optional<RayQuery> rays_;  // through the trees of a map without layers
 };
 
 /// Of finite place, direction and length above 0; all others are clear.

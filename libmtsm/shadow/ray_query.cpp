@@ -16,7 +16,8 @@ namespace mtsm::shadow {
 namespace {
 
 /// Rays that rise less than this beside their depth, in w, are left to the definition:
-/// what bounds them would be coarser than they are.
+/// what bounds them would be coarser than they are. Without layers they are made to rise
+/// so much, which is about half a pixel's footprint.
 constexpr double kLeastRise = 0x1p-12;
 /// Origins that lie further outside the window than this many times its size are no
 /// common starts.
@@ -93,7 +94,7 @@ void order(RayQuery::Piece* pieces, std::size_t count) {
 
 bool RayQuery::serves(const ShadowMap& map, const RayOptions& options) {
     if (options.method != ShadowMethod::trace) return false;
-    if (map.isOpaque() && !(options.spread > 0.0f)) return false;
+    if (map.isOpaque() && !(options.spread > 0.0f) && map.hasLayers()) return false;
     return hasTrees(map, options.attenuation, trace::DensityUse::rays);
 }
 
@@ -211,9 +212,14 @@ std::optional<RayQuery::Piece> RayQuery::pieceOf(std::uint32_t number,
     piece.way[0] = float(offBorder(b.u, width, border_) - double(piece.start[0]));
     piece.way[1] = float(offBorder(b.v, height, border_) - double(piece.start[1]));
     piece.way[2] = float(b.w - double(piece.start[2]));
-    if (piece.way[2] >= kLeastRise * std::max(std::abs(a.w), std::abs(b.w))) return piece;
-    fate.alone = true;
-    return std::nullopt;
+    const auto least = float(kLeastRise * std::max(std::abs(a.w), std::abs(b.w)));
+    if (piece.way[2] >= least) return piece;
+    if (map_.hasLayers()) {
+        fate.alone = true;
+        return std::nullopt;
+    }
+    piece.way[2] = least;
+    return piece;
 }
 
 /// Pieces on their way.

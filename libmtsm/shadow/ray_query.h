@@ -23,8 +23,9 @@ namespace mtsm::shadow {
 
 class RayQuery {
   public:
-    /// Can it answer such queries at all? Makes the map's trees. It leaves single rays
-    /// through opaque maps to the definition, which is as fast (tests/bench/NOTES.md).
+    /// Can it answer such queries at all? Makes the map's trees. While there are layers
+    /// it leaves single rays through opaque maps to the definition, which is as fast
+    /// (tests/bench/NOTES.md).
     [[nodiscard]] static bool serves(const ShadowMap& map, const RayOptions& options);
     RayQuery(const ShadowMap& map, const RayOptions& options) noexcept;
 
@@ -47,7 +48,7 @@ class RayQuery {
     /// What becomes of a ray.
     struct Fate {
         bool blocked = false;
-        bool alone = false;  ///< to be followed by the definition
+        bool alone = false;  ///< to be followed by the definition, through layers
         float depth[3] = {};
     };
 

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <mutex>
 #include <new>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -12,6 +13,7 @@
 #include "base/message.h"
 #include "base/parallel.h"
 #include "shadow/bundle_query.h"
+#include "shadow/map_faces.h"
 #include "shadow/query.h"
 #include "shadow/ray_query.h"
 #include "shadow/receiver_order.h"
@@ -197,11 +199,47 @@ void answerBundles(const shadow::Query& query, const ShadowMap& map,
     }
 }
 
+/// One after another, which by ray needs no memory. A point alone needs little: a map
+/// without layers, whose rays know no normals, has it tried.
+template <typename Take>
+void answerInTurn(const shadow::Query& query, const ShadowMap& map,
+                  const AreaLight& light, const glm::dvec3* points,
+                  const glm::dvec3* normals, std::size_t count,
+                  const ShadowOptions& options, bool errors, QueryStats& stats,
+                  const Take& take) {
+    const bool bundles =
+        !map.hasLayers() && shadow::BundleQuery::serves(map, light, options);
+    for (std::size_t i = 0; i < count; ++i) {
+        const auto takeIt = [&](std::size_t, const Answer& answer) { take(i, answer); };
+        const glm::dvec3* const normal = normals ? normals + i : nullptr;
+        if (bundles) {
+            try {
+                answerBundles(query, map, light, points + i, normal, 1, options, errors,
+                              stats, takeIt);
+                continue;
+            } catch (const std::bad_alloc&) {
+            }
+        }
+        takeIt(0,
+               query.shadowFactor(points[i], normal ? *normal : glm::dvec3(0.0), stats));
+    }
+}
+
+/// What is asked of a map without layers: there are only its trees.
+template <typename Options>
+Options served(const ShadowMap& map, Options options) {
+    if (map.hasLayers()) return options;
+    options.method = ShadowMethod::trace;
+    options.attenuation = Attenuation::multiply;
+    return options;
+}
+
 template <typename Take>
 void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
-               const glm::dvec3* normals, std::size_t count, const ShadowOptions& options,
+               const glm::dvec3* normals, std::size_t count, const ShadowOptions& asked,
                QueryStats* stats, bool errors, const Take& take) noexcept {
     if (count == 0) return;
+    const ShadowOptions options = served(map, asked);
     const shadow::Query query(map, light, options, errors);
     QueryStats met;
     try {
@@ -211,11 +249,9 @@ void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* p
         else
             answerEach(query, points, normals, count, met, take);
     } catch (const std::bad_alloc&) {
-        // By ray nothing is needed.
         met = {};
-        for (std::size_t i = 0; i < count; ++i)
-            take(i, query.shadowFactor(points[i], normals ? normals[i] : glm::dvec3(0.0),
-                                       met));
+        answerInTurn(query, map, light, points, normals, count, options, errors, met,
+                     take);
     }
     if (stats) add(*stats, met);
 }
@@ -223,36 +259,40 @@ void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* p
 /// Hands the visibilities of ray i to take(i, visibilities), for all rays.
 template <typename Take>
 void answerRays(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
-                const RayOptions& options, const Take& take) noexcept {
+                const RayOptions& asked, const Take& take) noexcept {
+    const RayOptions options = served(map, asked);
     const auto byDefinition = [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i)
             take(i, shadow::visibilityByDefinition(map, rays[i], options));
+    };
+    std::optional<shadow::RayQuery> query;
+    const auto throughTrees = [&](std::size_t begin, std::size_t end) {
+        glm::vec3 visible[shadow::RayQuery::kAtOnce];
+        query->look(rays + begin, end - begin, visible);
+        for (std::size_t i = begin; i < end; ++i)
+            take(i, visible[i - begin]);
     };
     try {
         if (!shadow::RayQuery::serves(map, options)) {
             base::parallelRanges(std::size_t(0), count, kPointsPerTask, byDefinition);
             return;
         }
-        const shadow::RayQuery query(map, options);
-        const auto answer = [&](std::size_t begin, std::size_t end) {
-            glm::vec3 visible[shadow::RayQuery::kAtOnce];
-            query.look(rays + begin, end - begin, visible);
-            for (std::size_t i = begin; i < end; ++i)
-                take(i, visible[i - begin]);
-        };
-        if (count <= 1) return answer(0, count);
+        query.emplace(map, options);
+        if (count <= 1) return throughTrees(0, count);
         const std::vector<std::size_t> begin = shadow::RayQuery::beginnings(rays, count);
         base::parallelFor(std::size_t(1), begin.size(),
-                          [&](std::size_t i) { answer(begin[i - 1], begin[i]); });
+                          [&](std::size_t i) { throughTrees(begin[i - 1], begin[i]); });
     } catch (const std::bad_alloc&) {
-        byDefinition(0, count);
+        if (map.hasLayers()) return byDefinition(0, count);
+        for (std::size_t i = 0; i < count; ++i)
+            throughTrees(i, i + 1);
     }
 }
 
 /// What queries of the map go through, made if need be.
 bool hasTrees(const ShadowMap& map) {
     try {
-        return shadow::BundleQuery::serves(map, map.info().light, {});
+        return shadow::hasTrees(map, Attenuation::multiply);
     } catch (const std::bad_alloc&) {
         return false;
     }
@@ -278,6 +318,28 @@ std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept {
     return bytes;
 }
 
+Status releaseLayers(ShadowMap& map) noexcept {
+    if (!map.hasLayers() || map.layerCount() == 0) return {};
+    try {
+        if (!shadow::fitsTrees(map))
+            return makeError(ErrorCode::unsupported, "queries of a map with ",
+                             map.layerCount(), " layers in ", map.faceCount(),
+                             " faces go through its layers, which stay: they can go of "
+                             "maps with at most ",
+                             shadow::kMostLayers,
+                             " layers and one face or the six of a cube");
+        if (!hasTrees(map))
+            return makeError(ErrorCode::tooLarge, "not enough memory for the trees over ",
+                             map.layerCount(),
+                             " layers: the layers stay, and queries go "
+                             "through them, slowly");
+    } catch (const std::bad_alloc&) {  // for the message
+        return Error{ErrorCode::tooLarge, "out of memory"};
+    }
+    map.dropLayers();
+    return {};
+}
+
 Status checkQuery(const ShadowMap& map, const AreaLight& light,
                   const ShadowOptions& options) {
     if (options.samples < 1 || options.samples > kMaxSamples)
@@ -291,6 +353,12 @@ Status checkQuery(const ShadowMap& map, const AreaLight& light,
     if (!(options.targetError >= 0.0f && options.targetError <= 1.0f))
         return makeError(ErrorCode::badArgument, "target error ", options.targetError,
                          " must be in [0, 1]");
+    const bool subtracts =
+        options.attenuation == Attenuation::subtract && !map.isOpaque();
+    if (!map.hasLayers() && (options.method != ShadowMethod::trace || subtracts))
+        return makeError(ErrorCode::badArgument,
+                         "the map's layers were released, and only queries by trace with "
+                         "attenuation multiply go without them: read the map again");
     return lightFits(light, map.info().light);
 }
 

@@ -657,7 +657,9 @@ bool hasNearMedia(const ShadowMap& map) noexcept {
 const std::vector<DensityTree>* densityTrees(const ShadowMap& map, DensityUse use) {
     using Trees = std::vector<DensityTree>;
     using Kept = std::array<base::Lazy, 2>;
-    const bool coarse = use == DensityUse::receivers && hasNearMedia(map);
+    // Without layers there is nothing to make others from.
+    const bool coarse =
+        hasNearMedia(map) && (use == DensityUse::receivers || !map.hasLayers());
     const auto& kept = map.queryData().get<std::shared_ptr<Kept>>(
         [] { return std::make_shared<Kept>(); });
     const Trees& trees = (*kept)[coarse].get<Trees>([&] {

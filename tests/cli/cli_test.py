@@ -1153,7 +1153,8 @@ class Query(ToolTest):
         j = json.loads(done.stdout)
         self.assertEqual((j["points"], j["rays"], j["notFinite"]), (2, 32, 0))
         self.assertEqual([v["shadow"] for v in j["values"]], [1, 0])
-        for word in ("2 points", "32 rays", "rays per second", "may be truncated"):
+        self.assertGreater(j["memoryBytes"], 1000)
+        for word in ("2 points", "32 rays", "rays per second", "may be truncated", "; it takes "):
             self.assertIn(word, done.stderr)
         for quantity in ("shadow", "visibility"):
             done = self.good(run("query", "key.mtsm", "--point", "0,0,0", "--json", "--quantity", quantity))
@@ -1195,6 +1196,11 @@ class Query(ToolTest):
         done = self.good(run("bake", "scene.obj", "--exclude", "floor", *LIGHT, "--quality", "final", "--resolution", 64, "-o", "q.mtsm"))
         self.assertIn("rasterised 64 x 64", done.stderr)
         self.assertNotIn("--resolution 1024", done.stderr)
+        # What lets light through has no near field in colour: the map has to be finer.
+        for color, kind, side in (([], "kept whole", 512), (["--color"], "that let light through: ", 1024)):
+            done = self.good(run("bake", "scene.obj", "--exclude", "floor", "--opacity", 0.5, *color, *LIGHT, "--target-error", 0.02, "-o", "q.mtsm", "--json"))
+            self.assertIn(kind, done.stderr)
+            self.assertEqual((json.loads(done.stdout)["width"], json.loads(done.stdout)["nearField"]["kept"]), (side, not color))
         plane = ["--plane", "-2,0,-2,4,0,0,0,0,4", "--size", "64x64", "--json", "-o", "e.exr"]
         rays = []
         for error in (0.05, 0.002):

@@ -111,6 +111,34 @@ TEST_CASE("visibility may start again after it reached zero", "[map]") {
     CHECK_FALSE(ShadowMap::create(info, faces));
 }
 
+TEST_CASE("a map keeps no memory that its layers do not take", "[map]") {
+    Tile tile;
+    for (auto* words : {&tile.begin, &tile.n})
+        words->reserve(1000);
+    for (auto* floats : {&tile.z, &tile.v})
+        floats->reserve(1000);
+    tile.begin.assign(65, 1);
+    tile.begin[0] = 0;
+    tile.z = {1.0f};
+    tile.v = {0.5f};
+    tile.n = {2};
+    MapFace face;
+    face.projection = test::plainProjection(8, 8);
+    face.tiles.push_back(std::move(tile));
+    face.nearField.chunks.reserve(100);
+    face.nearField.chunks.resize(1);
+    std::vector<MapFace> faces;
+    faces.push_back(std::move(face));
+    const auto map = ShadowMap::create(test::plainInfo(8, 8, 8), std::move(faces));
+    REQUIRE(map);
+    const Tile& kept = map->tile(0, 0, 0);
+    CHECK(kept.begin.capacity() == 65);
+    CHECK(kept.z.capacity() == 1);
+    CHECK(kept.v.capacity() == 1);
+    CHECK(kept.n.capacity() == 1);
+    CHECK(map->nearField(0).chunks.capacity() == 1);
+}
+
 TEST_CASE("identical sees every bit of a layer and nothing else", "[map]") {
     const auto spec = test::NoisySpec{.width = 20, .height = 9, .tileSize = 8, .seed = 5};
     const ShadowMap a = noisyMap(spec), b = noisyMap(spec);

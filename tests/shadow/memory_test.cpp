@@ -89,22 +89,27 @@ void* operator new[](size_t n, align_val_t a, const nothrow_t&) noexcept {
     std::free(p);
 }
 
+namespace {
+
+ShadowMap halfPlane(float v) {
+    MapInfo info = test::plainInfo(32, 32, 16);
+    info.light.shape = LightShape::disk;
+    info.light.radius = 0.2;
+    info.light.direction = {0, 0, -1};
+    info.bias = 0.05f;
+    const ShadowMap map = test::mapOf(
+        info, test::plainProjection(32, 32), [v](std::uint32_t x, std::uint32_t) {
+            return x < 16 ? std::vector<test::TestLayer>{{2.0f, v, 1}}
+                          : std::vector<test::TestLayer>{};
+        });
+    return v > 0.0f ? map : test::opaqueOf(map);
+}
+
+}  // namespace
+
 TEST_CASE("queries that run out of memory anywhere are answered ray by ray", "[shadow]") {
     for (const bool opaque : {true, false}) {
-        MapInfo info = test::plainInfo(32, 32, 16);
-        info.light.shape = LightShape::disk;
-        info.light.radius = 0.2;
-        info.light.direction = {0, 0, -1};
-        info.bias = 0.05f;
-        const auto make = [&] {
-            return test::mapOf(
-                info, test::plainProjection(32, 32), [&](std::uint32_t x, std::uint32_t) {
-                    return x < 16
-                               ? std::vector<test::TestLayer>{{2.0f, opaque ? 0.0f : 0.5f,
-                                                               1}}
-                               : std::vector<test::TestLayer>{};
-                });
-        };
+        const auto make = [&] { return halfPlane(opaque ? 0.0f : 0.5f); };
         const std::size_t count = 300;
         std::vector<glm::dvec3> points;
         std::vector<ShadowRay> rays;
@@ -116,6 +121,7 @@ TEST_CASE("queries that run out of memory anywhere are answered ray by ray", "[s
         scalar.method = ShadowMethod::scalar;
         std::vector<float> expected(count), found(count), visible(count);
         const ShadowMap first = make();
+        const MapInfo& info = first.info();
         shadowFactors(first, info.light, points.data(), nullptr, count, expected.data(),
                       scalar);
         // One allocation more each time, until there is enough.
@@ -142,6 +148,66 @@ TEST_CASE("queries that run out of memory anywhere are answered ray by ray", "[s
                           Approx(behind ? (opaque ? 0.0 : 0.5) : 1.0).margin(4e-4));
             }
             CHECK(away < 0.01);
+            ++answered;
+            if (enough) break;
+        }
+        CHECK(answered > 5);
+    }
+}
+
+TEST_CASE("layers go only if there was memory for what takes their place", "[shadow]") {
+    for (const bool opaque : {true, false}) {
+        bool refused = false, done = false;
+        for (long given = 0; given < 4000 && !done; given += 1 + given / 16) {
+            ShadowMap map = halfPlane(opaque ? 0.0f : 0.5f);
+            const std::uint64_t whole = map.memoryBytes();
+            left = given;
+            const Status status = releaseLayers(map);
+            left = -1;
+            const bool released = bool(status);
+            if (!released) CHECK(status.error().code == ErrorCode::tooLarge);
+            INFO("opaque " << opaque << " allocations " << given);
+            CHECK(map.hasLayers() == !released);
+            CHECK((map.memoryBytes() == whole) == !released);
+            refused = refused || !released;
+            done = released;
+            const float dark = shadowFactor(map, map.info().light, {-1, 0.1, -4});
+            CHECK(dark == Approx(opaque ? 1.0 : 0.5).margin(4e-4));
+        }
+        CHECK(refused);
+        CHECK(done);
+    }
+}
+
+TEST_CASE("without layers queries that run out of memory are answered all the same",
+          "[shadow]") {
+    for (const bool opaque : {true, false}) {
+        ShadowMap map = halfPlane(opaque ? 0.0f : 0.5f);
+        const AreaLight light = map.info().light;
+        const std::size_t count = 300;
+        std::vector<glm::dvec3> points;
+        std::vector<ShadowRay> rays;
+        for (std::size_t i = 0; i < count; ++i) {
+            points.push_back({3.8 * (double(i) / count - 0.5), 0.1, -4});
+            rays.push_back({points.back(), {0, 0, 1}, 4.0});
+        }
+        REQUIRE(releaseLayers(map));
+        std::vector<float> expected(count), clear(count), found(count), visible(count);
+        shadowFactors(map, light, points.data(), nullptr, count, expected.data());
+        visibilities(map, rays.data(), count, clear.data());
+        int answered = 0;
+        for (long given = 0; given < 4000; given += 1 + given / 16) {
+            left = given;
+            shadowFactors(map, light, points.data(), nullptr, count, found.data());
+            visibilities(map, rays.data(), count, visible.data());
+            const bool enough = left > 0;
+            left = -1;
+            INFO("opaque " << opaque << " allocations " << given);
+            double away = 0.0;
+            for (std::size_t i = 0; i < count; ++i)
+                away += std::abs(found[i] - expected[i]) / double(count);
+            CHECK(away < 0.01);
+            CHECK(visible == clear);
             ++answered;
             if (enough) break;
         }

@@ -124,6 +124,37 @@ TEST_CASE("strands and sheets are kept beside the layers where a bake can", "[qu
     }
 }
 
+TEST_CASE("no near field is planned that six faces, or colours, do not have",
+          "[quality]") {
+    CasterMeasures fur = solid(1000), cards = solid(1000);
+    fur.strands = 1000;
+    cards.letThrough = true;
+    const MapForm plain, cube{true, false}, color{false, true}, none{false, false, false};
+    const auto chosen = [](const CasterMeasures& casters, const MapForm& form) {
+        return mapSettingsFor(casters, 0.01f, form);
+    };
+    for (const MapForm& form : {cube, color, none}) {
+        const bool any = form.nearField;
+        CHECK(chosen(solid(1000), form).kind ==
+              (any ? MapKind::nearField : MapKind::surfaces));
+        CHECK(chosen(cards, form).kind == MapKind::sheets);
+        CHECK(chosen(fur, form).kind ==
+              (any && !form.cube ? MapKind::nearHair : MapKind::hair));
+        for (const CasterMeasures& casters : {solid(1000), cards, fur}) {
+            const MapSettings settings = chosen(casters, form);
+            const bool near =
+                settings.kind == MapKind::nearField || settings.kind == MapKind::nearHair;
+            CHECK((settings.nearField > 0) == near);
+            CHECK(settings.resolution >= chosen(casters, plain).resolution);
+            CHECK(settings.error == mapError(settings.kind, settings.resolution));
+        }
+    }
+    // Without it the map has to be finer, and says what it does not reach.
+    CHECK(chosen(cards, color).resolution > chosen(cards, plain).resolution);
+    CHECK(!mapSettingsFor(cards, 0.005f, cube).reached);
+    CHECK(mapSettingsFor(cards, 0.005f, plain).reached);
+}
+
 TEST_CASE("a map's kind is told by the near fields of all its faces", "[quality]") {
     using Faces = std::vector<MapFace>;
     const auto kindWith = [](std::vector<Projection> views, Translucent translucent,
@@ -164,8 +195,11 @@ TEST_CASE("a map's kind is told by the near fields of all its faces", "[quality]
     const auto six = test::cubeProjections(8);
     CHECK(kindWith(six, Translucent::sheets, 0.0f, nothing) == MapKind::surfaces);
     CHECK(kindWith(six, Translucent::sheets, 0.0f, triangles) == MapKind::nearField);
-    CHECK(kindWith(six, Translucent::media, 0.5f, hair) == MapKind::nearHair);
-    CHECK(kindWith(six, Translucent::media, 0.5f, both) == MapKind::nearHair);
+    CHECK(kindWith(one, Translucent::media, 0.5f, hair) == MapKind::nearHair);
+    CHECK(kindWith(one, Translucent::media, 0.5f, both) == MapKind::nearHair);
+    // Queries do not ask for those of six faces.
+    CHECK(kindWith(six, Translucent::media, 0.5f, hair) == MapKind::hair);
+    CHECK(kindWith(six, Translucent::sheets, 0.0f, both) == MapKind::hair);
     CHECK(kindWith(one, Translucent::sheets, 0.5f, sheets) == MapKind::nearSheets);
     CHECK(kindWith(six, Translucent::sheets, 0.5f, nothing) == MapKind::sheets);
     CHECK(kindWith(six, Translucent::media, 0.5f, nothing) == MapKind::hair);

@@ -15,7 +15,9 @@
 // samples in (z of the layer before, z]. After a layer whose v is zero in every channel
 // the accumulation starts again at 1: that is the reset. An opaque surface is (z, 0, 1).
 //
-// A ShadowMap never changes once made: any number of threads may use it at once.
+// A ShadowMap never changes once made: any number of threads may use it at once. The one
+// exception is releaseLayers() (mtsm/shadow.h), which like an assignment must have the
+// map to itself; copies are maps of their own.
 #pragma once
 #include <cstddef>
 #include <cstdint>
@@ -222,9 +224,13 @@ class ShadowMap {
                                 std::uint32_t y) const noexcept;
     /// The whole face.
     [[nodiscard]] ZRange zRange(std::uint32_t face) const noexcept {
-        return zRange(face, levels_ - 1, 0, 0);
+        return faceRanges_[face];
     }
 
+    /// False after releaseLayers() (mtsm/shadow.h). Then tiles and pixels are empty, and
+    /// every zRange() is that of its whole face. All else is as before.
+    [[nodiscard]] bool hasLayers() const noexcept { return hasLayers_; }
+    /// That the map was made with.
     [[nodiscard]] std::uint64_t layerCount() const noexcept { return layerCount_; }
     /// No layer lets anything through.
     [[nodiscard]] bool isOpaque() const noexcept { return isOpaque_; }
@@ -241,6 +247,8 @@ class ShadowMap {
         std::vector<ZRange> nodes;  // row-major
     };
     ShadowMap() = default;
+    friend Status releaseLayers(ShadowMap& map) noexcept;
+    void dropLayers() noexcept;
     Status checkShape() const;
     Status checkTiles() const;
     Status checkTile(std::uint32_t face, std::uint32_t tx, std::uint32_t ty) const;
@@ -251,15 +259,17 @@ class ShadowMap {
     std::vector<MapFace> faces_;
     std::vector<std::vector<Level>>
         hierarchy_;  // [face][level - 1]: level 0 is in the layers
+    ZRange faceRanges_[6];
     std::uint32_t tilesX_ = 0, tilesY_ = 0, tileShift_ = 0, levels_ = 0;
     std::uint64_t layerCount_ = 0;
-    bool isOpaque_ = true;
+    bool isOpaque_ = true, hasLayers_ = true;
     std::shared_ptr<base::Lazy> queryData_;
 };
 
 /// True if the two maps are the same to the last bit: info, projections, layers and near
 /// field.
 /// (Planes that say what their absence means, all v = 0 or all n = 1, equal absent ones.)
+/// Of maps without layers there is no telling: false.
 [[nodiscard]] bool identical(const ShadowMap& a, const ShadowMap& b) noexcept;
 
 }  // namespace mtsm

@@ -39,6 +39,12 @@ struct CasterMeasures {
     std::uint64_t strands = 0, volumes = 0;
 };
 
+/// What else a bake is asked for that decides it.
+struct MapForm {
+    bool cube = false, color = false;  ///< BakeOptions of these names
+    bool nearField = true;             ///< may it have one, if its casters can?
+};
+
 /// How a map tells what is close to a receiver, from the most exact.
 enum class MapKind {
     nearField,   ///< opaque triangles, kept beside the layers
@@ -72,10 +78,10 @@ struct MapSettings {
 /// The smallest map that leaves samples half of `meanError`; if there is none, the
 /// largest that was found to be of use: 4096 of opaque casters without a near field, else
 /// 2048. Near fields of strands and sheets make 512 pixels about as good as 1024: they
-/// get 1024 from .005 to .01, more below. Sheets are taken to be baked with one face and
-/// no colour: other maps have no near field of them.
-[[nodiscard]] MapSettings mapSettingsFor(const CasterMeasures& casters,
-                                         float meanError) noexcept;
+/// get 1024 from .005 to .01, more below. With six faces neither is of use, in colour
+/// that of sheets is not: such maps are chosen as those without.
+[[nodiscard]] MapSettings mapSettingsFor(const CasterMeasures& casters, float meanError,
+                                         const MapForm& form = {}) noexcept;
 
 /// How a batch is to be asked.
 struct QueryPlan {

@@ -5,8 +5,8 @@
 //     float dark = mtsm::shadowFactor(*map, map->info().light, point, normal);
 //
 // Points, normals and rays are in world space, lengths in world units. Visibility runs
-// from 0 (dark) to 1 (clear); shadow factor = 1 - visibility. A map never changes once
-// made: any number of threads may query it at once. A query cannot fail; answers are
+// from 0 (dark) to 1 (clear); shadow factor = 1 - visibility. Queries do not change a
+// map: any number of threads may query it at once. A query cannot fail; answers are
 // finite whatever the input. It takes memory for the trees below, once for each map, and
 // for the order of a batch's points; where there is none it goes ray by ray, slowly (and,
 // if it was for the trees, so do the map's later queries).
@@ -126,6 +126,31 @@ void prepareQueries(const ShadowMap& map) noexcept;
 /// What the map takes while it is queried by `trace`: its own memoryBytes() and what
 /// prepareQueries makes, which is made if need be.
 [[nodiscard]] std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept;
+
+/// For renderers that only shade: makes what prepareQueries makes and then lets go of the
+/// map's layers, which `trace` asks for hardly anything more.
+///
+///     auto map = mtsm::readMap("key.mtsm");
+///     if (auto s = mtsm::releaseLayers(*map); !s) warn(s.error());  // it goes on, whole
+///
+/// Shadow factors by `trace` stay the same to the last bit. Points that went ray by ray
+/// (above) go through the trees as well, without the near field, from where rays of
+/// receivers without a normal start. So do all rays of a caller's, and one that runs
+/// level to within 1/4096 of its depth is tilted to that. Everything else needs layers:
+/// checkQuery() refuses `scalar`, `pcf` and, but of opaque maps, Attenuation::subtract
+/// (unchecked they are answered as `trace` and multiply); writeMap() is an error, pixels
+/// are empty, identical() says no. Nothing brings layers back but reading the file again.
+///
+/// Nothing else may use this map meanwhile. Copies made before keep layers of their own,
+/// copies made after have none. While it runs layers and trees are both there, and what
+/// making trees takes: up to a third of both, of opaque maps up to 2.5 times both. What
+/// is freed goes back to the allocator, which need not give it on to the system (of
+/// glibc, malloc_trim(0) makes it).
+///
+/// Errors, all of which leave the map as it was: tooLarge (no memory for the trees;
+/// queries then go ray by ray), unsupported (a map that `trace` follows ray by ray). A
+/// map without a layer has nothing to let go of.
+Status releaseLayers(ShadowMap& map) noexcept;
 
 /// What batches met: each adds to what is there.
 struct QueryStats {
