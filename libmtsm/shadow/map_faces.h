@@ -7,8 +7,8 @@
 
 namespace mtsm::shadow {
 
-/// The near field answers for so many pixel footprints of depth: twice as many halve the
-/// error next to receivers and cost little (tests/bench/NOTES.md).
+/// The near field answers for so many pixel footprints of depth at least: twice as many
+/// halve the error next to receivers and cost little (tests/bench/NOTES.md).
 inline constexpr double kNearDepth = 32.0;
 
 /// Can rays go through trees over the map's layers? It has some, not too many, and one

@@ -734,6 +734,10 @@ class PatchBuilder {
                 tile.run(column * kTexels, row * kTexels, made[row]);
         });
         collect(made, level, true);
+        double samples = 0;
+        for (const Node& n : level.nodes)
+            samples += n.moments.n;
+        if (samples > 0) tree_.pieceSize_ = float(samples / double(level.nodes.size()));
         return level;
     }
 
@@ -784,7 +788,6 @@ class PatchBuilder {
             append(tree_.covers_, m.covers);
             m = {};
         }
-        tree_.patchCount_ += level.nodes.size();
     }
 
     /// To the last level.

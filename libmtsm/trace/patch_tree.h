@@ -91,7 +91,9 @@ class PatchTree {
     /// Of all patches.
     [[nodiscard]] float lowest() const noexcept { return lowest_; }
     [[nodiscard]] float highest() const noexcept { return highest_; }
-    [[nodiscard]] std::size_t patchCount() const noexcept { return patchCount_; }
+    /// Samples of a connected piece of surface within 16 x 16 pixels, on average; 0 if
+    /// there are none. Of closed bodies dozens, of slender leaves a few.
+    [[nodiscard]] float pieceSize() const noexcept { return pieceSize_; }
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
 
   private:
@@ -100,7 +102,7 @@ class PatchTree {
     std::vector<PatchGroup> groups_;
     std::vector<CoverPlane> covers_;
     float lowest_ = 0.0f, highest_ = 0.0f;
-    std::size_t patchCount_ = 0;
+    float pieceSize_ = 0.0f;
 };
 
 /// The trees of an opaque map's faces, made when first asked for; null if there is no

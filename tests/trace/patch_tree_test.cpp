@@ -376,7 +376,7 @@ TEST_CASE("the tree of a map without layers has no patches", "[trace]") {
     const ShadowMap map = mapOf(test::plainInfo(40, 24, 8), test::plainProjection(40, 24),
                                 [](auto, auto) { return std::vector<TestLayer>{}; });
     const PatchTree tree = PatchTree::build(map, 0, {});
-    CHECK(tree.patchCount() == 0);
+    CHECK(tree.pieceSize() == 0.0f);
     for (const PatchTree::Level& level : tree.levels()) {
         for (const PatchTree::Entry& tile : level.tiles)
             CHECK(tile.groups == 0);
