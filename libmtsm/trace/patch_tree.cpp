@@ -501,20 +501,25 @@ class Coarsening {
     /// Tile (x, y) of the coarser level.
     void run(std::uint32_t x, std::uint32_t y, Made& made) {
         const std::size_t before = made.nodes.size();
-        std::vector<Cluster> clusters;
+        std::vector<std::uint32_t> order;
         for (std::uint32_t q = 0; q < 4; ++q) {
             const std::uint32_t tx = 2 * x + (q & 1), ty = 2 * y + (q >> 1);
             if (tx >= below_.columns || ty >= below_.rows) continue;
             const std::size_t tile = std::size_t(ty) * below_.columns + tx;
-            for (std::uint32_t i = below_.begin[tile]; i < below_.begin[tile + 1]; ++i) {
-                const Node& n = below_.nodes[i];
-                clusters.push_back({n.plane, n.moments, n.residual, {i}});
-            }
+            for (std::uint32_t i = below_.begin[tile]; i < below_.begin[tile + 1]; ++i)
+                order.push_back(i);
         }
         // Large ones first: they say where the surfaces are.
-        std::stable_sort(
-            clusters.begin(), clusters.end(),
-            [](const Cluster& a, const Cluster& b) { return a.moments.n > b.moments.n; });
+        std::stable_sort(order.begin(), order.end(),
+                         [&](std::uint32_t a, std::uint32_t b) {
+                             return below_.nodes[a].moments.n > below_.nodes[b].moments.n;
+                         });
+        std::vector<Cluster> clusters;
+        clusters.reserve(order.size());
+        for (const std::uint32_t i : order) {
+            const Node& n = below_.nodes[i];
+            clusters.push_back({n.plane, n.moments, n.residual, {i}});
+        }
         for (const float tolerance : kTolerances)
             gatherClusters(below_, clusters, float(side_ / kTexels), tolerance,
                            footprint_);

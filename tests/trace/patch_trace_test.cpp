@@ -164,11 +164,11 @@ Rays traced(const PatchTree& tree, Rays rays) {
     return rays;
 }
 
-int bitsIn(const std::vector<std::uint16_t>& open) {
-    int bits = 0;
-    for (const std::uint16_t row : open)
-        bits += std::popcount(row);
-    return bits;
+int openRays(const Rays& rays) {
+    int count = 0;
+    for (int row = 0; row < rays.rows(); ++row)
+        count += std::popcount(rays.bundle.open[row]);
+    return count;
 }
 
 /// Smooth islands in several layers, one over the other.
@@ -457,7 +457,7 @@ TEST_CASE("a receiver's answers do not depend on the others", "[trace][twin]") {
                 anyRays(random, 16, i % 4 == 0 ? 1 : 1 + int(random.below(4)));
             wide += all.bundle.wide != 0;
             const Rays together = traced(tree, all);
-            const int left = bitsIn(openOf(together));
+            const int left = openRays(together);
             open += left;
             blocked += kLanes * all.rows() - left;
             const auto compare = [&](const std::vector<int>& receivers) {
@@ -544,8 +544,7 @@ TEST_CASE("a hull that meets nothing has no rays that are blocked", "[trace][twi
                 hull.slopeHighV = std::max(hull.slopeHighV, b.slopeHighV[i]);
             }
             hull.wFirst = hull.wLow;
-            const bool blocked =
-                bitsIn(openOf(traced(tree, rays))) < bitsIn(openOf(rays));
+            const bool blocked = openRays(traced(tree, rays)) < openRays(rays);
             const bool may = trace::mayMeet(tree, hull);
             if (blocked) CHECK(may);
             ++(may ? met : free);
@@ -569,7 +568,7 @@ TEST_CASE("what does not rise above a tangent plane does not block", "[trace][ex
     rays.bundle.planeHeight = 0.18f;  // starts lie 0.19 to 0.21 below the wall
     CHECK(openOf(traced(tree, rays)) == openOf(without));
     rays.bundle.planeHeight = 0.22f;
-    CHECK(bitsIn(openOf(traced(tree, rays))) == kLanes * rays.rows());
+    CHECK(openRays(traced(tree, rays)) == kLanes * rays.rows());
 }
 
 TEST_CASE("a wall counts behind begin and up to the ray's end", "[trace][exact]") {
