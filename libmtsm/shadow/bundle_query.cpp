@@ -24,6 +24,12 @@ namespace {
 constexpr double kNearHeight = 0.01;
 /// Without normals: rays start this much nearer to the receiver.
 constexpr double kNearStart = 0.1;
+/// The near field answers further where layers are in small pieces, as slender leaves
+/// are: until the light, from where the ray is, is so many pixels wide through the
+/// receiver, for at most so many footprints of depth.
+constexpr double kNearWidth = 8.0;
+constexpr double kNearMost = 256.0;
+constexpr float kSmallPiece = 20.0f;  // samples
 /// Beside hair it answers until the light, from where the ray is, is so many pixels wide
 /// through the receiver; for at most and at least so many footprints of depth.
 constexpr double kHairWidth = 3.0;
@@ -61,8 +67,8 @@ double nearHeightOf(const ShadowMap& map) noexcept {
 }
 
 LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& light,
-                             const ShadowOptions& options, bool near, bool normals,
-                             std::optional<std::uint32_t> onlyKey) {
+                             const ShadowOptions& options, bool near, double nearMost,
+                             bool normals, std::optional<std::uint32_t> onlyKey) {
     LightRays::Setting setting;
     setting.seed = options.seed;
     setting.onlyKey = onlyKey;
@@ -74,9 +80,9 @@ LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& li
     setting.height = kPlaneHeight;
     if (near) {
         const bool sheets = !map.nearSheets(0).empty(), hair = !map.isOpaque();
-        setting.nearDepth = sheets ? kSheetMost : hair ? kHairMost : kNearDepth;
-        setting.nearWidth = sheets ? kSheetWidth : hair ? kHairWidth : 0.0;
-        setting.nearLeast = sheets ? kSheetLeast : kHairLeast;
+        setting.nearDepth = sheets ? kSheetMost : nearMost;
+        setting.nearWidth = sheets ? kSheetWidth : hair ? kHairWidth : kNearWidth;
+        setting.nearLeast = sheets ? kSheetLeast : hair ? kHairLeast : kNearDepth;
         setting.nearHeight = nearHeightOf(map);
         setting.nearStart = kNearStart;
     }
@@ -128,10 +134,14 @@ BundleQuery::Face::Face(const ShadowMap& map, std::uint32_t number, ZRange reach
       near(hasNear(map, number)),
       empty(map.zRange(number).empty()),
       nearest(LightRays::nearestOf(projection, reach)) {
-    if (map.isOpaque())
+    if (map.isOpaque()) {
         patches = &(*trace::patchTrees(map))[number];
-    else
+        const float piece = patches->pieceSize();
+        nearMost = piece > 0.0f && piece < kSmallPiece ? kNearMost : kNearDepth;
+    } else {
+        nearMost = kHairMost;
         density = &(*trace::densityTrees(map, trace::DensityUse::receivers))[number];
+    }
     const light::LightView seen = light.view(projection.eye + projection.forward);
     axisX = turn * seen.x, axisY = turn * seen.y, axisZ = turn * seen.z;
     base = turn * seen.base;
@@ -188,9 +198,10 @@ void BundleQuery::addRays(Face& face, bool normals,
         }
     }
     (normals ? face.withNormals : face.without)
-        .emplace(face.projection, map_.info().width, map_.info().height, face.depths,
-                 light_, settingOf(map_, light_, options_, face.near, normals, onlyKey),
-                 alike);
+        .emplace(
+            face.projection, map_.info().width, map_.info().height, face.depths, light_,
+            settingOf(map_, light_, options_, face.near, face.nearMost, normals, onlyKey),
+            alike);
 }
 
 /// One bit for each face: may rays from the point to the light meet something there?
@@ -561,7 +572,7 @@ bool BundleQuery::isFree(const Face& face, const Outlook& starts) const noexcept
         const bool sheets = !face.nearSheets.empty();
         const float most = sheets
                                ? std::max(0.0f, highestOf(face.nearSheets) - hull->wLow)
-                               : depth(opaque_ ? kNearDepth : kHairMost, hull->wHigh);
+                               : depth(face.nearMost, hull->wHigh);
         if (trace::mayMeet(face.nearField.levels, *hull, most) ||
             trace::mayMeet(face.nearHair.levels, *hull, most) ||
             trace::mayMeet(face.nearSheets.triangles.levels, *hull, most))

@@ -101,6 +101,7 @@ class BundleQuery {
         /// Is all that is close to receivers in them? Strands of several faces are not
         /// asked for.
         bool near;
+        double nearMost;  ///< depth that triangles or strands answer for, footprints
         const trace::PatchTree* patches = nullptr;    ///< of an opaque map
         const trace::DensityTree* density = nullptr;  ///< of any other
         std::optional<LightRays> withNormals, without;

@@ -265,7 +265,9 @@ class Starts {
         if (view_.nearWidth > 0.0f) {
             const Vec least = hn::Mul(depth, constant(view_.nearLeast));
             const Vec wide = hn::Div(constant(view_.nearWidth), hn::Sqrt(lightArea));
-            depth = hn::IfThenElseZero(bounded, hn::Max(least, hn::Min(depth, wide)));
+            const Vec otherwise = in_.media ? hn::Zero(kF) : least;
+            depth =
+                hn::IfThenElse(bounded, hn::Max(least, hn::Min(depth, wide)), otherwise);
         }
         hn::Store(depth, kF, bundle_.rise + first_);
         alignas(64) float widest[kN];

@@ -59,7 +59,8 @@ class LightRays {
     /// begins, `nearHeight` footprints above the plane, or at the start times
     /// `nearStart`. `nearWidth`: if above 0, it answers for as much less, down to
     /// `nearLeast`, as the light, seen from there through the receiver, is as many pixels
-    /// wide; and for nothing of rays without bounds (RayBundle::wide). `onlyKey`: all
+    /// wide; and of rays without bounds (RayBundle::wide) for that in an opaque map, for
+    /// nothing in others. `onlyKey`: all
     /// receivers have this key.
     struct Setting {
         std::uint32_t samples = 1;

@@ -8,8 +8,8 @@
 
 namespace mtsm::shadow {
 
-/// The near field answers for so many pixel footprints of depth: twice as many halve the
-/// error next to receivers and cost little (tests/bench/NOTES.md).
+/// The near field answers for so many pixel footprints of depth at least: twice as many
+/// halve the error next to receivers and cost little (tests/bench/NOTES.md).
 inline constexpr double kNearDepth = 32.0;
 
 /// Trees count in 32 bits, and a layer takes several of what they count.

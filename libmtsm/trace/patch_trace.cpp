@@ -23,13 +23,14 @@ constexpr Ints kI;
 constexpr int kN = int(hn::MaxLanes(kF));
 
 /// Part number i of the same field of four groups, one part being what a vector holds.
-template <typename D>
-HWY_INLINE hn::Vec<D> loadField(D d, const float* const* groups, int field, int i) {
+template <typename D, typename T>
+HWY_INLINE hn::Vec<D> loadField(D d, const PatchGroup* const* groups,
+                                const T (PatchGroup::*field)[4], int i) {
     constexpr int lanes = int(hn::MaxLanes(D()));
     if constexpr (lanes < 4) {
-        return hn::LoadU(d, groups[i / 4] + field + i % 4);
+        return hn::LoadU(d, groups[i / 4]->*field + i % 4);
     } else if constexpr (lanes == 4) {
-        return hn::Load(d, groups[i] + field);
+        return hn::LoadU(d, groups[i]->*field);
     } else {
 #if HWY_TARGET != HWY_SCALAR
         const hn::Half<D> half;
@@ -37,6 +38,23 @@ HWY_INLINE hn::Vec<D> loadField(D d, const float* const* groups, int field, int 
                            loadField(half, groups, field, 2 * i));
 #endif
     }
+}
+
+using Shorts = hn::Rebind<std::uint16_t, Floats>;
+using Short = std::uint16_t;
+
+/// The same of floats of which the upper half is stored.
+HWY_INLINE Vec loadUpper(const PatchGroup* const* groups,
+                         const Short (PatchGroup::*field)[4], int i) {
+    const hn::RebindToUnsigned<Floats> bits;
+    const auto halves = hn::PromoteTo(bits, loadField(Shorts(), groups, field, i));
+    return hn::BitCast(kF, hn::ShiftLeft<16>(halves));
+}
+
+/// The same of pixels.
+HWY_INLINE Vec loadPixels(const PatchGroup* const* groups,
+                          const Short (PatchGroup::*field)[4], int i) {
+    return hn::ConvertTo(kF, hn::PromoteTo(kI, loadField(Shorts(), groups, field, i)));
 }
 
 /// How large a texel may be beside the distance of neighbouring rays: twice that costs as
@@ -75,10 +93,6 @@ class Queue {
     std::uint32_t first_ = 0, last_ = 0;
 };
 
-constexpr int field(int i) {
-    return 4 * i;
-}  // of PatchGroup, in its order
-
 /// Do rays that start between two places, and go sideways between two slopes, cross what
 /// lies between two sides while they rise by `least` to `most`?
 HWY_INLINE hn::Mask<Floats> crosses(Vec side0, Vec side1, Vec startLow, Vec startHigh,
@@ -90,27 +104,29 @@ HWY_INLINE hn::Mask<Floats> crosses(Vec side0, Vec side1, Vec startLow, Vec star
 }
 
 /// Which patches of four groups, of a vector from number `first` on, a ray of the hull
-/// can meet; `wide`: all that there are.
-HWY_INLINE std::uint32_t meet(const RayHull& hull, bool wide, const float* const* groups,
-                              int first) {
-    const auto load = [&](int number) {
-        return loadField(kF, groups, field(number), first / kN);
-    };
-    const Vec high = load(0);
+/// can meet; `wide`: all that there are. `margin`: PatchTree's.
+HWY_INLINE std::uint32_t meet(const RayHull& hull, bool wide, float margin,
+                              const PatchGroup* const* groups, int first) {
+    const int i = first / kN;
+    const Vec w = loadField(kF, groups, &PatchGroup::w, i);
+    const Vec high = hn::Add(w, loadUpper(groups, &PatchGroup::above, i));
     const auto exists = hn::Gt(high, hn::Set(kF, -HUGE_VALF));
     if (wide) return bitsOf(exists);
-    const Vec low = load(1), u = load(6), v = load(7), halfU = load(8), halfV = load(9);
+    const Vec low = hn::Sub(w, loadUpper(groups, &PatchGroup::below, i));
+    const Vec more = hn::Set(kF, margin);
+    const Vec u0 = hn::Sub(loadPixels(groups, &PatchGroup::u0, i), more);
+    const Vec v0 = hn::Sub(loadPixels(groups, &PatchGroup::v0, i), more);
+    const Vec u1 = hn::Add(loadPixels(groups, &PatchGroup::u1, i), more);
+    const Vec v1 = hn::Add(loadPixels(groups, &PatchGroup::v1, i), more);
     const auto set = [](float x) { return hn::Set(kF, x); };
     const Vec least =
         hn::Max(hn::Zero(kF), hn::Sub(hn::Max(low, set(hull.wFirst)), set(hull.wHigh)));
     const Vec most = hn::Sub(high, set(hull.wLow));
     auto met = hn::And(exists, hn::Ge(high, set(hull.wFirst)));
-    met = hn::And(met, crosses(hn::Sub(u, halfU), hn::Add(u, halfU), set(hull.uLow),
-                               set(hull.uHigh), set(hull.slopeLowU), set(hull.slopeHighU),
-                               least, most));
-    met = hn::And(met, crosses(hn::Sub(v, halfV), hn::Add(v, halfV), set(hull.vLow),
-                               set(hull.vHigh), set(hull.slopeLowV), set(hull.slopeHighV),
-                               least, most));
+    met = hn::And(met, crosses(u0, u1, set(hull.uLow), set(hull.uHigh),
+                               set(hull.slopeLowU), set(hull.slopeHighU), least, most));
+    met = hn::And(met, crosses(v0, v1, set(hull.vLow), set(hull.vHigh),
+                               set(hull.slopeLowV), set(hull.slopeHighV), least, most));
     return bitsOf(met);
 }
 
@@ -218,7 +234,6 @@ class Traversal {
 
     /// Looks at up to four groups.
     void look() {
-        const float* fields[4];
         const PatchGroup* groups[4];
         std::uint16_t lanes[4];
         std::uint32_t met = 0;
@@ -229,11 +244,10 @@ class Traversal {
                 groups[i] += queue_.pop(lanes[i]);
                 met |= 15u << (4 * i);
             }
-            fields[i] = groups[i]->high;
         }
         std::uint32_t reached = 0;
         for (int i = 0; i < 16; i += kN)
-            reached |= meet(hull_, anyWide_, fields, i) << i;
+            reached |= meet(hull_, anyWide_, tree_.margin(), groups, i) << i;
         met &= reached;
         if (met == 0) return;
         std::uint32_t open[16] = {}, far[16] = {};
@@ -248,7 +262,7 @@ class Traversal {
         }
         for (; some; some &= some - 1) {
             const int i = std::countr_zero(some);
-            visit(*groups[i / 4], i % 4, open[i] & lanes_, far[i]);
+            visit(groups[i / 4]->patch(i % 4), open[i] & lanes_, far[i]);
             if (lanes_ == 0) return;
         }
     }
@@ -270,6 +284,7 @@ class Traversal {
         };
         const Vec slant = hn::Max(steepest(lowU, highU), steepest(lowV, highV));
         const Vec dense = hn::Mul(load(bundle_.spread), set(kTexel));
+        const float margin = tree_.margin();
         const bool planes = bundle_.hasPlanes;
         const Vec a = planes ? load(bundle_.planeU) : hn::Zero(kF);
         const Vec b = planes ? load(bundle_.planeV) : hn::Zero(kF);
@@ -277,12 +292,12 @@ class Traversal {
         const Vec height = set(planes ? bundle_.planeHeight : -HUGE_VALF);
         const std::uint32_t wide = (std::uint32_t(bundle_.wide) >> k) & kAll;
         for (; met; met &= met - 1) {
-            const int number = std::countr_zero(met), i = number % 4;
-            const PatchGroup& g = *groups[number / 4];
-            const Vec halfU = set(g.halfU[i]), halfV = set(g.halfV[i]);
-            const Vec awayU = hn::Sub(set(g.u[i]), u), awayV = hn::Sub(set(g.v[i]), v);
-            const Vec lowest = hn::Sub(set(g.low[i]), w);
-            const Vec least = hn::Max(lowest, rise), most = hn::Sub(set(g.high[i]), w);
+            const int number = std::countr_zero(met);
+            const Patch p = groups[number / 4]->patch(number % 4);
+            const Vec halfU = set(p.halfU + margin), halfV = set(p.halfV + margin);
+            const Vec awayU = hn::Sub(set(p.u), u), awayV = hn::Sub(set(p.v), v);
+            const Vec lowest = hn::Sub(set(p.low), w);
+            const Vec least = hn::Max(lowest, rise), most = hn::Sub(set(p.high), w);
             auto met16 = hn::Ge(most, rise);
             const auto crosses = [&](Vec away, Vec half, Vec low, Vec high) {
                 const Vec nearest = hn::Min(hn::Mul(low, least), hn::Mul(low, most));
@@ -294,62 +309,62 @@ class Traversal {
             met16 = hn::And(met16, crosses(awayV, halfV, lowV, highV));
             // Height at the box's centre, and how it changes along the patch's plane.
             Vec above = hn::MulAdd(b, awayV, hn::Mul(a, awayU));
-            above = hn::MulAdd(c, hn::Sub(set(g.w[i]), w), above);
-            const Vec perU = hn::MulAdd(c, set(g.gradientU[i]), a);
-            const Vec perV = hn::MulAdd(c, set(g.gradientV[i]), b);
+            above = hn::MulAdd(c, hn::Sub(set(p.w), w), above);
+            const Vec perU = hn::MulAdd(c, set(p.gradientU), a);
+            const Vec perV = hn::MulAdd(c, set(p.gradientV), b);
             above = hn::MulAdd(hn::Abs(perU), halfU, above);
             above = hn::MulAdd(hn::Abs(perV), halfV, above);
-            above = hn::MulAdd(hn::Abs(c), set(g.residual[i]), above);
+            above = hn::MulAdd(hn::Abs(c), set(p.residual), above);
             const auto higher = hn::Gt(above, height);
             open[number] |= ((bitsOf(met16) | wide) & bitsOf(higher)) << k;
-            const Vec coarse =
-                hn::Max(hn::Mul(slant, set(g.residual[i])), set(g.texel[i]));
+            const Vec coarse = hn::Max(hn::Mul(slant, set(p.residual)), set(p.texel));
             far[number] |= bitsOf(hn::Le(coarse, hn::Mul(dense, lowest))) << k;
         }
     }
 
     /// Groups of rays that may meet the patch.
-    [[nodiscard]] std::uint64_t groupsMet(const PatchGroup& g, int i) const {
+    [[nodiscard]] std::uint64_t groupsMet(const Patch& p) const {
         const std::uint64_t all = ~std::uint64_t(0) >> (64 - bundle_.groups);
         if (bundle_.groups == 1 || anyWide_) return all;
         const auto set = [](float x) { return hn::Set(kF, x); };
         const Vec least =
-            set(std::max(0.0f, std::max(g.low[i], hull_.wFirst) - hull_.wHigh));
-        const Vec most = set(g.high[i] - hull_.wLow);
+            set(std::max(0.0f, std::max(p.low, hull_.wFirst) - hull_.wHigh));
+        const Vec most = set(p.high - hull_.wLow);
+        const float halfU = p.halfU + tree_.margin(), halfV = p.halfV + tree_.margin();
         std::uint64_t groups = 0;
         for (int k = 0; k < bundle_.groups; k += kN) {
-            const auto inU = crosses(set(g.u[i] - g.halfU[i]), set(g.u[i] + g.halfU[i]),
-                                     set(hull_.uLow), set(hull_.uHigh),
-                                     hn::Load(kF, bundle_.groupLowU + k),
-                                     hn::Load(kF, bundle_.groupHighU + k), least, most);
-            const auto inV = crosses(set(g.v[i] - g.halfV[i]), set(g.v[i] + g.halfV[i]),
-                                     set(hull_.vLow), set(hull_.vHigh),
-                                     hn::Load(kF, bundle_.groupLowV + k),
-                                     hn::Load(kF, bundle_.groupHighV + k), least, most);
+            const auto inU =
+                crosses(set(p.u - halfU), set(p.u + halfU), set(hull_.uLow),
+                        set(hull_.uHigh), hn::Load(kF, bundle_.groupLowU + k),
+                        hn::Load(kF, bundle_.groupHighU + k), least, most);
+            const auto inV =
+                crosses(set(p.v - halfV), set(p.v + halfV), set(hull_.vLow),
+                        set(hull_.vHigh), hn::Load(kF, bundle_.groupLowV + k),
+                        hn::Load(kF, bundle_.groupHighV + k), least, most);
             groups |= std::uint64_t(bitsOf(hn::And(inU, inV))) << k;
         }
         return groups & all;
     }
 
     /// `lanes`, `far`: as findLanes finds them.
-    void visit(const PatchGroup& g, int i, std::uint32_t lanes, std::uint32_t far) {
+    void visit(const Patch& p, std::uint32_t lanes, std::uint32_t far) {
         if (lanes == 0) return;
-        const std::uint64_t groups = groupsMet(g, i);
+        const std::uint64_t groups = groupsMet(p);
         if (groups == 0) return;
         std::uint32_t answered = lanes;
-        if (g.childGroups[i] > 0) {
-            answered &= mayAnswer_[g.level[i]];
-            if (answered && g.sheet[i]) test<Patch::sheet>(g, i, groups, answered);
+        if (p.childGroups > 0) {
+            answered &= mayAnswer_[p.level];
+            if (answered && p.sheet) test<Kind::sheet>(p, groups, answered);
             answered &= far & ~std::uint32_t(bundle_.wide);
         }
-        if (answered && g.bumpy[i])
-            test<Patch::bumpy>(g, i, groups, answered);
+        if (answered && p.bumpy)
+            test<Kind::bumpy>(p, groups, answered);
         else if (answered)
-            test<Patch::whole>(g, i, groups, answered);
+            test<Kind::whole>(p, groups, answered);
         const std::uint32_t rest = lanes & ~answered & lanes_;
         if (rest == 0) return;
-        queue_.push({g.children[i], g.childGroups[i], std::uint16_t(rest)});
-        const auto* next = reinterpret_cast<const char*>(tree_.groups() + g.children[i]);
+        queue_.push({p.children, p.childGroups, std::uint16_t(rest)});
+        const auto* next = reinterpret_cast<const char*>(tree_.groups() + p.children);
         for (std::size_t at = 0; at < sizeof(PatchGroup); at += 64)
             hwy::Prefetch(next + at);
     }
@@ -365,29 +380,27 @@ class Traversal {
         const std::uint8_t* threshold;
     };
 
-    /// The patch of a group as rays see it.
+    /// The patch as rays see it.
     struct Seen {
-        const PatchGroup& g;
-        int i;
+        const Patch& patch;
         const CoverPlane* cover;
         float cornerU, cornerV, perTexel;
         std::uint32_t number;
     };
 
-    enum class Patch { whole, sheet, bumpy };
+    enum class Kind { whole, sheet, bumpy };
     /// Closes the rays of these receivers and groups that the patch blocks. Of a sheet:
     /// those that surely go through it; the patch's children still count for the others.
-    template <Patch kPatch>
-    void test(const PatchGroup& g, int i, std::uint64_t groups, std::uint32_t lanes) {
-        const auto texel = float(1u << g.level[i]);
+    template <Kind kKind>
+    void test(const Patch& p, std::uint64_t groups, std::uint32_t lanes) {
+        const auto texel = float(1u << p.level);
         const float side = kTexels * texel;
-        const Seen seen{g,
-                        i,
-                        tree_.covers() + g.cover[i],
-                        std::floor(g.u[i] / side) * side,
-                        std::floor(g.v[i] / side) * side,
+        const Seen seen{p,
+                        tree_.covers() + p.cover,
+                        std::floor(p.u / side) * side,
+                        std::floor(p.v / side) * side,
                         1.0f / texel,
-                        (g.cover[i] * 0x9e3779b1u) >> 28};
+                        (p.cover * 0x9e3779b1u) >> 28};
         for (lanes &= lanes_; lanes; lanes &= lanes - 1) {
             const int receiver = std::countr_zero(lanes);
             Batch batch;
@@ -405,9 +418,9 @@ class Traversal {
                     batch.begin = hn::Load(kF, bundle_.begin[row] + k);
                     batch.threshold = bundle_.threshold[row] + k;
                     std::uint32_t hits = 0;
-                    if constexpr (kPatch == Patch::sheet)
+                    if constexpr (kKind == Kind::sheet)
                         hits = through(seen, batch);
-                    else if constexpr (kPatch == Patch::bumpy)
+                    else if constexpr (kKind == Kind::bumpy)
                         hits = metBumps(seen, batch);
                     else
                         hits = met(seen, batch);
@@ -421,26 +434,24 @@ class Traversal {
 
     /// The depth of the patch's plane over the start, above it.
     static float riseAt(const Seen& p, const Batch& r) {
-        const PatchGroup& g = p.g;
-        return g.w[p.i] - r.startW + g.gradientU[p.i] * (r.startU - g.u[p.i]) +
-               g.gradientV[p.i] * (r.startV - g.v[p.i]);
+        return p.patch.w - r.startW + p.patch.gradientU * (r.startU - p.patch.u) +
+               p.patch.gradientV * (r.startV - p.patch.v);
     }
     /// One over how fast the rays come nearer to the patch's plane.
     static Vec perApproach(const Seen& p, const Batch& r) {
-        const Vec speed = hn::NegMulAdd(hn::Set(kF, p.g.gradientU[p.i]), r.du, r.dw);
-        return reciprocal(hn::NegMulAdd(hn::Set(kF, p.g.gradientV[p.i]), r.dv, speed));
+        const Vec speed = hn::NegMulAdd(hn::Set(kF, p.patch.gradientU), r.du, r.dw);
+        return reciprocal(hn::NegMulAdd(hn::Set(kF, p.patch.gradientV), r.dv, speed));
     }
 
     /// Rays that go from below a sheet to above it within its box.
     static std::uint32_t through(const Seen& p, const Batch& r) {
-        const float rise = riseAt(p, r), residual = p.g.residual[p.i];
+        const float rise = riseAt(p, r), residual = p.patch.residual;
         const Vec inverse = perApproach(p, r);
         const Vec s0 = hn::Mul(hn::Set(kF, rise - residual), inverse);
         const Vec s1 = hn::Mul(hn::Set(kF, rise + residual), inverse);
-        const Vec u0 = hn::Set(kF, r.startU - p.g.u[p.i]);
-        const Vec v0 = hn::Set(kF, r.startV - p.g.v[p.i]);
-        const Vec halfU = hn::Set(kF, p.g.halfU[p.i]),
-                  halfV = hn::Set(kF, p.g.halfV[p.i]);
+        const Vec u0 = hn::Set(kF, r.startU - p.patch.u);
+        const Vec v0 = hn::Set(kF, r.startV - p.patch.v);
+        const Vec halfU = hn::Set(kF, p.patch.halfU), halfV = hn::Set(kF, p.patch.halfV);
         auto hit = hn::And(hn::Gt(s0, r.begin), hn::Le(s1, hn::Set(kF, 1.0f)));
         hit = hn::And(hit, hn::Gt(inverse, hn::Zero(kF)));
         for (const Vec s : {s0, s1}) {
@@ -467,7 +478,7 @@ class Traversal {
         const VecI x = hn::And(hn::ConvertTo(kI, u), fifteen);
         const VecI y = hn::And(hn::ConvertTo(kI, v), fifteen);
         const VecI bit = hn::Shl(hn::Set(kI, 1), x);
-        if (!p.g.shared[p.i])
+        if (!p.patch.shared)
             return hits & bitsOf(hn::Ne(hn::And(rowsAt(*p.cover, y), bit), hn::Zero(kI)));
         return hits & sharesAbove(p, r, y, bit);
     }
@@ -477,10 +488,10 @@ class Traversal {
     std::uint32_t metBumps(const Seen& p, const Batch& r) const {
         const BumpPlane bumps = std::bit_cast<BumpPlane>(*p.cover);
         const Vec inverse = perApproach(p, r);
-        const float rise = riseAt(p, r), perStep = p.g.residual[p.i] / BumpPlane::kSteps;
+        const float rise = riseAt(p, r), perStep = p.patch.residual / BumpPlane::kSteps;
         constexpr float kSide = BumpPlane::kSide;
-        const float u0 = r.startU - std::floor(p.g.u[p.i] / kSide) * kSide;
-        const float v0 = r.startV - std::floor(p.g.v[p.i] / kSide) * kSide;
+        const float u0 = r.startU - std::floor(p.patch.u / kSide) * kSide;
+        const float v0 = r.startV - std::floor(p.patch.v / kSide) * kSide;
         const Vec none = hn::Zero(kF), one = hn::Set(kF, 1.0f);
         auto hit = hn::Gt(none, one);
         for (int t = 0; t < BumpPlane::kSide * BumpPlane::kSide; ++t) {
@@ -582,7 +593,6 @@ class Glance {
 
     /// At up to four groups; true: what is met is as fine as it gets.
     bool look() {
-        const float* fields[4];
         const PatchGroup* groups[4];
         std::uint32_t met = 0;
         for (int i = 0; i < 4; ++i) {
@@ -591,14 +601,13 @@ class Glance {
                 groups[i] += stack_[--waiting_];
                 met |= 15u << (4 * i);
             }
-            fields[i] = groups[i]->high;
         }
         std::uint32_t reached = 0;
         for (int i = 0; i < 16; i += kN)
-            reached |= meet(hull_, false, fields, i) << i;
+            reached |= meet(hull_, false, tree_.margin(), groups, i) << i;
         for (met &= reached; met; met &= met - 1) {
             const int i = std::countr_zero(met);
-            if (isFine(*groups[i / 4], i % 4)) return true;
+            if (isFine(groups[i / 4]->patch(i % 4))) return true;
             push(groups[i / 4]->children[i % 4], groups[i / 4]->childGroups[i % 4]);
         }
         return false;
@@ -606,15 +615,15 @@ class Glance {
 
     /// It is if rays may take it as it is, so that what its children say is not what they
     /// would find; and where its children would tell little more.
-    [[nodiscard]] bool isFine(const PatchGroup& g, int i) const {
-        const float most = g.high[i] - hull_.wLow;
+    [[nodiscard]] bool isFine(const Patch& p) const {
+        const float most = p.high - hull_.wLow;
         const float u =
             hull_.uHigh - hull_.uLow + most * (hull_.slopeHighU - hull_.slopeLowU);
         const float v =
             hull_.vHigh - hull_.vLow + most * (hull_.slopeHighV - hull_.slopeLowV);
-        return g.childGroups[i] == 0 ||
-               g.texel[i] <= hull_.spread * kTexel * (g.low[i] - hull_.wLow) ||
-               std::max(g.halfU[i], g.halfV[i]) <= std::max(u, v);
+        return p.childGroups == 0 ||
+               p.texel <= hull_.spread * kTexel * (p.low - hull_.wLow) ||
+               std::max(p.halfU, p.halfV) <= std::max(u, v);
     }
 
     static constexpr int kMostLooks = 16, kSize = 128;

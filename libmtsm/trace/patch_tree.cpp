@@ -25,6 +25,8 @@ constexpr std::array kTolerances = {1.0f, 4.0f};
 /// be more exact if no near field answers for it (tests/bench/NOTES.md).
 constexpr float kFlatAlone = 0.3f, kFlatBesideNearField = 3.0f;
 
+/// Members of a coarser patch: its groups are counted in a byte.
+constexpr std::size_t kMostMembers = 4 * 255;
 /// Groups and covers of a tree have numbers of 32 bits; entries of levels still join.
 constexpr std::size_t kMostIds = std::size_t(1) << 31;
 
@@ -61,6 +63,11 @@ struct Plane {
     }
 };
 
+/// x >= 0, rounded up.
+UpperHalf halveUp(float x) {
+    return UpperHalf((std::bit_cast<std::uint32_t>(x) + 0xffff) >> 16);
+}
+
 struct Slope {
     double u = 0, v = 0;
 };
@@ -91,6 +98,8 @@ struct Node {
     std::uint32_t children = 0, childGroups = 0, cover = 0;
     std::uint8_t level = 0;
     bool shared = false, sheet = false, bumpy = false;
+
+    float above = 0, below = 0;  // of high and low, once it is done
 
     void centre() {
         const double u = 0.5 * (box.u0 + box.u1), v = 0.5 * (box.v0 + box.v1);
@@ -137,10 +146,7 @@ constexpr float kNever = -HUGE_VALF;
 
 PatchGroup emptyGroup() {
     PatchGroup g{};
-    for (int i = 0; i < 4; ++i) {
-        g.high[i] = kNever;
-        g.low[i] = kNever;
-    }
+    std::fill_n(g.above, 4, UpperHalf(std::bit_cast<std::uint32_t>(kNever) >> 16));
     return g;
 }
 
@@ -153,26 +159,40 @@ Box wholeTexels(const Node& node) {
     return {down(node.box.u0), down(node.box.v0), up(node.box.u1), up(node.box.v1)};
 }
 
+/// Depth of the plane at the middle of a group's box.
+float middleOf(const Node& node, const Box& box) {
+    return float(node.plane.at(0.5 * (box.u0 + box.u1), 0.5 * (box.v0 + box.v1)));
+}
+
+/// Rounds bounds as groups have them, outwards, and by what a ray's depth is rounded.
+void roundBounds(Node& node) {
+    node.residual = widen(halveUp(node.residual));
+    const float w = middleOf(node, wholeTexels(node));
+    const float margin =
+        std::max({std::abs(node.low), std::abs(node.high), std::abs(w)}) * 0x1p-18f;
+    node.above = widen(halveUp(std::max(0.0f, node.high - w + margin)));
+    node.below = widen(halveUp(std::max(0.0f, w - node.low + margin)));
+    node.high = w + node.above;
+    node.low = w - node.below;
+}
+
 void store(const Node& node, PatchGroup& g, int i) {
     const Box box = wholeTexels(node);
-    g.high[i] = node.high;
-    g.low[i] = node.low;
+    g.w[i] = middleOf(node, box);
+    g.above[i] = halveUp(node.above);
+    g.below[i] = halveUp(node.below);
+    g.u0[i] = std::uint16_t(box.u0), g.u1[i] = std::uint16_t(box.u1);
+    g.v0[i] = std::uint16_t(box.v0), g.v1[i] = std::uint16_t(box.v1);
     g.gradientU[i] = float(node.plane.gradientU);
     g.gradientV[i] = float(node.plane.gradientV);
-    g.residual[i] = node.residual;
-    g.u[i] = 0.5f * (box.u0 + box.u1);
-    g.v[i] = 0.5f * (box.v0 + box.v1);
-    g.halfU[i] = 0.5f * (box.u1 - box.u0);
-    g.halfV[i] = 0.5f * (box.v1 - box.v0);
-    g.w[i] = float(node.plane.at(g.u[i], g.v[i]));
-    g.texel[i] = node.shared ? float(1u << node.level) : 0.0f;
+    g.residual[i] = halveUp(node.residual);
     g.children[i] = node.children;
-    g.childGroups[i] = node.childGroups;
+    g.childGroups[i] = std::uint8_t(node.childGroups);
     g.cover[i] = node.cover;
-    g.level[i] = node.level;
-    g.shared[i] = node.shared;
-    g.sheet[i] = node.sheet && box.area() == node.box.area();
-    g.bumpy[i] = node.bumpy;
+    const bool sheet = node.sheet && box.area() == node.box.area();
+    g.kind[i] = std::uint8_t(node.level | (node.shared ? PatchGroup::kShared : 0) |
+                             (sheet ? PatchGroup::kSheet : 0) |
+                             (node.bumpy ? PatchGroup::kBumpy : 0));
 }
 
 /// Appends nodes in groups of four; the first group's index.
@@ -328,21 +348,24 @@ class TilePieces {
         likely = {node.plane.gradientU, node.plane.gradientV};
         const bool flat = node.residual <= flatness_ * footprint_.at(node.plane.w);
         if (!flat && square.size == BumpPlane::kSide) {
+            roundBounds(node);
             addBumps(samples, square, node, made);
             return node;
         }
         if (!flat) {
             std::vector<Node> quarters;
             const int half = square.size / 2;
+            std::array<std::vector<Sample>, 4> inside;
+            for (const Sample& s : samples) {
+                const bool right = (s.pixel & 15) >= square.x + half;
+                const bool lower = (s.pixel >> 4) >= square.y + half;
+                inside[right + 2 * lower].push_back(s);
+            }
             for (int q = 0; q < 4; ++q) {
                 const Square part{square.x + (q & 1) * half, square.y + (q >> 1) * half,
                                   half};
-                std::vector<Sample> inside;
-                for (const Sample& s : samples) {
-                    const int x = (s.pixel & 15) - part.x, y = (s.pixel >> 4) - part.y;
-                    if (x >= 0 && y >= 0 && x < half && y < half) inside.push_back(s);
-                }
-                if (!inside.empty()) quarters.push_back(emit(inside, part, likely, made));
+                if (!inside[q].empty())
+                    quarters.push_back(emit(inside[q], part, likely, made));
             }
             if (quarters.size() == 1) return quarters[0];
             for (const Node& quarter : quarters)
@@ -357,6 +380,7 @@ class TilePieces {
             node.children = children.group;
             node.childGroups = children.groups;
         }
+        roundBounds(node);
         node.cover = std::uint32_t(made.covers.size());
         CoverPlane plane{};
         for (const Sample& s : samples)
@@ -448,6 +472,7 @@ void gatherClusters(const LevelNodes& below, std::vector<Cluster>& from, float t
             // A quick look at the middle first.
             const double u = c.moments.u / c.moments.n, v = c.moments.v / c.moments.n;
             if (std::abs(other.plane.at(u, v) - w) > least) continue;
+            if (other.members.size() + c.members.size() > kMostMembers) continue;
             float distance = 0;
             for (const std::uint32_t member : c.members)
                 distance = std::max(distance, mismatch(other.plane, below.nodes[member]));
@@ -476,20 +501,25 @@ class Coarsening {
     /// Tile (x, y) of the coarser level.
     void run(std::uint32_t x, std::uint32_t y, Made& made) {
         const std::size_t before = made.nodes.size();
-        std::vector<Cluster> clusters;
+        std::vector<std::uint32_t> order;
         for (std::uint32_t q = 0; q < 4; ++q) {
             const std::uint32_t tx = 2 * x + (q & 1), ty = 2 * y + (q >> 1);
             if (tx >= below_.columns || ty >= below_.rows) continue;
             const std::size_t tile = std::size_t(ty) * below_.columns + tx;
-            for (std::uint32_t i = below_.begin[tile]; i < below_.begin[tile + 1]; ++i) {
-                const Node& n = below_.nodes[i];
-                clusters.push_back({n.plane, n.moments, n.residual, {i}});
-            }
+            for (std::uint32_t i = below_.begin[tile]; i < below_.begin[tile + 1]; ++i)
+                order.push_back(i);
         }
         // Large ones first: they say where the surfaces are.
-        std::stable_sort(
-            clusters.begin(), clusters.end(),
-            [](const Cluster& a, const Cluster& b) { return a.moments.n > b.moments.n; });
+        std::stable_sort(order.begin(), order.end(),
+                         [&](std::uint32_t a, std::uint32_t b) {
+                             return below_.nodes[a].moments.n > below_.nodes[b].moments.n;
+                         });
+        std::vector<Cluster> clusters;
+        clusters.reserve(order.size());
+        for (const std::uint32_t i : order) {
+            const Node& n = below_.nodes[i];
+            clusters.push_back({n.plane, n.moments, n.residual, {i}});
+        }
         for (const float tolerance : kTolerances)
             gatherClusters(below_, clusters, float(side_ / kTexels), tolerance,
                            footprint_);
@@ -523,6 +553,7 @@ class Coarsening {
         const std::size_t mask = uniteMasks(c, x, y, made);
         node.sheet = isSheet(c, node);
         addCover(node, mask, x, y, made);
+        roundBounds(node);
         made.nodes.push_back(node);
     }
 
@@ -628,6 +659,14 @@ class Coarsening {
         node.high = std::max(node.high, float(w + reach));
     }
 
+    /// Bits of 16 that are set: std::popcount is a call where processors may lack it.
+    static std::uint32_t ones(std::uint32_t bits) {
+        bits -= bits >> 1 & 0x5555;
+        bits = (bits & 0x3333) + (bits >> 2 & 0x3333);
+        bits = (bits + (bits >> 4)) & 0x0f0f;
+        return (bits + (bits >> 8)) & 31;
+    }
+
     /// Covered pixels of a texel.
     [[nodiscard]] std::uint32_t count(const std::uint16_t* bits, std::uint32_t texel,
                                       std::uint32_t x, std::uint32_t y) const {
@@ -637,10 +676,10 @@ class Coarsening {
         for (std::uint32_t row = 0; row < texel; ++row, at += words) {
             if (texel < kTexels) {
                 const std::uint32_t inside = (1u << texel) - 1;
-                n += std::uint32_t(std::popcount((*at >> (x % kTexels)) & inside));
+                n += ones((*at >> (x % kTexels)) & inside);
             } else {
                 for (std::uint32_t k = 0; k < texel / kTexels; ++k)
-                    n += std::uint32_t(std::popcount(at[k]));
+                    n += ones(at[k]);
             }
         }
         return n;
@@ -696,7 +735,7 @@ class PatchBuilder {
             tree_.lowest_ = std::min(tree_.lowest_, n.low);
             tree_.highest_ = std::max(tree_.highest_, n.high);
         }
-        growBounds();
+        tree_.margin_ = float(std::max(map_.info().width, map_.info().height)) * 0x1p-19f;
         tree_.covers_.emplace_back();  // kernels read a little further
         tree_.groups_.shrink_to_fit();
         tree_.covers_.shrink_to_fit();
@@ -704,24 +743,6 @@ class PatchBuilder {
     }
 
   private:
-    /// By what a ray's place and depth are rounded, so that no bound passes over what a
-    /// ray meets: answers must not depend on which bounds it was tested against.
-    void growBounds() {
-        const auto margin =
-            float(std::max(map_.info().width, map_.info().height)) * 0x1p-19f;
-        for (PatchGroup& g : tree_.groups_) {
-            for (int i = 0; i < 4; ++i) {
-                if (g.high[i] == kNever) continue;
-                g.halfU[i] += margin;
-                g.halfV[i] += margin;
-                const float depth =
-                    std::max(std::abs(g.low[i]), std::abs(g.high[i])) * 0x1p-18f;
-                g.low[i] -= depth;
-                g.high[i] += depth;
-            }
-        }
-    }
-
     LevelNodes pieces() {
         LevelNodes level;
         level.side = kTexels;
@@ -734,6 +755,10 @@ class PatchBuilder {
                 tile.run(column * kTexels, row * kTexels, made[row]);
         });
         collect(made, level, true);
+        double samples = 0;
+        for (const Node& n : level.nodes)
+            samples += n.moments.n;
+        if (samples > 0) tree_.pieceSize_ = float(samples / double(level.nodes.size()));
         return level;
     }
 
@@ -755,6 +780,14 @@ class PatchBuilder {
     /// `ownGroups`: the tasks' groups have children among themselves.
     void collect(std::vector<Made>& made, LevelNodes& level, bool ownGroups) {
         level.begin.assign(1, 0);
+        std::size_t nodes = 0, masks = 0, groups = tree_.groups_.size(),
+                    covers = tree_.covers_.size();
+        for (const Made& m : made) {
+            nodes += m.nodes.size(), masks += m.masks.size();
+            groups += m.groups.size(), covers += m.covers.size();
+        }
+        level.nodes.reserve(nodes), level.masks.reserve(masks);
+        if (ownGroups) tree_.groups_.reserve(groups), tree_.covers_.reserve(covers);
         for (Made& m : made) {
             const auto group = std::uint32_t(tree_.groups_.size());
             const auto cover = std::uint32_t(tree_.covers_.size());
@@ -784,7 +817,6 @@ class PatchBuilder {
             append(tree_.covers_, m.covers);
             m = {};
         }
-        tree_.patchCount_ += level.nodes.size();
     }
 
     /// To the last level.

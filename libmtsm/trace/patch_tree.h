@@ -25,24 +25,63 @@ namespace mtsm::trace {
 
 inline constexpr int kTexels = 16;  ///< per side of a patch
 
-/// Four patches that are looked at together; empty ones have high = -infinity.
-struct alignas(16) PatchGroup {
-    // Straight space, pixels and w.
-    float high[4], low[4];  ///< all of the patch's surface lies between, corners included
-    float w[4], gradientU[4], gradientV[4];  ///< plane: depth at the box's centre, slope
-    float residual[4];                       ///< largest distance from the plane, in w
-    float u[4], v[4], halfU[4], halfV[4];    ///< box of its texels: centre, half sides
-    float texel[4];  ///< side of a texel that is partly covered, pixels; 0: none is
-    std::uint32_t children[4];     ///< first group
-    std::uint32_t childGroups[4];  ///< 0: a leaf
-    std::uint32_t cover[4];        ///< first plane of its coverage
-    std::uint8_t level[4];
+/// The upper half of a float's bits.
+using UpperHalf = std::uint16_t;
+[[nodiscard]] inline float widen(UpperHalf bits) noexcept {
+    return std::bit_cast<float>(std::uint32_t(bits) << 16);
+}
+
+/// A piece of surface, in straight space: pixels and w.
+struct Patch {
+    float high,
+        low;  ///< all of it lies between, corners included; none: high = -infinity
+    float w, gradientU, gradientV;  ///< plane: depth at the box's centre, slope
+    float residual;                 ///< largest distance from the plane, in w
+    float u, v, halfU, halfV;       ///< box of its texels: centre, half sides
+    float texel;  ///< side of a texel that is partly covered, pixels; 0: none is
+    std::uint32_t children;     ///< first group
+    std::uint32_t childGroups;  ///< 0: a leaf
+    std::uint32_t cover;        ///< first plane of its coverage
+    std::uint8_t level;
     /// Four planes of coverage, the bits of a number from 0 to 15: sixteenths, 15 is all.
     /// Else one plane: all or nothing.
-    bool shared[4];
-    bool sheet[4];  ///< one connected surface that fills the box
-    bool bumpy[4];  ///< a leaf; its coverage is a BumpPlane
+    bool shared;
+    bool sheet;  ///< one connected surface that fills the box
+    bool bumpy;  ///< a leaf; its coverage is a BumpPlane
 };
+
+/// Four patches that are looked at together: first of all what hulls of rays are tested
+/// against. Each field as Patch has it, or what that is made of.
+struct alignas(16) PatchGroup {
+    static constexpr int kShared = 32, kSheet = 64, kBumpy = 128;
+
+    float w[4];
+    UpperHalf above[4], below[4];  ///< from w to high and to low; -infinity: no patch
+    std::uint16_t u0[4], v0[4], u1[4], v1[4];  ///< box, pixels
+    float gradientU[4], gradientV[4];
+    UpperHalf residual[4];
+    std::uint32_t children[4], cover[4];
+    std::uint8_t childGroups[4];
+    std::uint8_t kind[4];  ///< level, and what it is
+
+    [[nodiscard]] float high(int i) const noexcept { return w[i] + widen(above[i]); }
+    [[nodiscard]] float low(int i) const noexcept { return w[i] - widen(below[i]); }
+    [[nodiscard]] Patch patch(int i) const noexcept {
+        Patch p;
+        p.high = high(i), p.low = low(i), p.w = w[i];
+        p.gradientU = gradientU[i], p.gradientV = gradientV[i];
+        p.residual = widen(residual[i]);
+        p.u = 0.5f * float(u0[i] + u1[i]), p.v = 0.5f * float(v0[i] + v1[i]);
+        p.halfU = 0.5f * float(u1[i] - u0[i]), p.halfV = 0.5f * float(v1[i] - v0[i]);
+        p.children = children[i], p.childGroups = childGroups[i], p.cover = cover[i];
+        p.level = kind[i] & 31;
+        p.shared = kind[i] & kShared, p.sheet = kind[i] & kSheet;
+        p.bumpy = kind[i] & kBumpy;
+        p.texel = p.shared ? float(1u << p.level) : 0.0f;
+        return p;
+    }
+};
+static_assert(sizeof(PatchGroup) == 144);
 
 /// One bit per texel: bit x of row y.
 struct CoverPlane {
@@ -91,7 +130,12 @@ class PatchTree {
     /// Of all patches.
     [[nodiscard]] float lowest() const noexcept { return lowest_; }
     [[nodiscard]] float highest() const noexcept { return highest_; }
-    [[nodiscard]] std::size_t patchCount() const noexcept { return patchCount_; }
+    /// Boxes must be so much wider, pixels, for what a ray's place is rounded by: whether
+    /// it meets a patch does not depend on which boxes it was tested against.
+    [[nodiscard]] float margin() const noexcept { return margin_; }
+    /// Samples of a connected piece of surface within 16 x 16 pixels, on average; 0 if
+    /// there are none. Of closed bodies dozens, of slender leaves a few.
+    [[nodiscard]] float pieceSize() const noexcept { return pieceSize_; }
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
 
   private:
@@ -99,8 +143,8 @@ class PatchTree {
     std::vector<Level> levels_;
     std::vector<PatchGroup> groups_;
     std::vector<CoverPlane> covers_;
-    float lowest_ = 0.0f, highest_ = 0.0f;
-    std::size_t patchCount_ = 0;
+    float lowest_ = 0.0f, highest_ = 0.0f, margin_ = 0.0f;
+    float pieceSize_ = 0.0f;
 };
 
 /// The trees of an opaque map's faces, made when first asked for; null if there is no

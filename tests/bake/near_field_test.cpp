@@ -394,6 +394,97 @@ TEST_CASE("the near field is the same for any number of threads and order of tri
     }
 }
 
+namespace {
+
+/// Slivers that lie askew, most of them steep: each a pixel of the map or less wide.
+Mesh leaves(int count) {
+    Random random(3);
+    Mesh mesh;
+    for (int i = 0; i < count; ++i) {
+        const glm::vec3 at(random.in(-0.6, 0.6), random.in(1.0, 2.0),
+                           random.in(-0.6, 0.6));
+        const double turn = random.in(0.0, 6.2831853), rise = random.in(-1.5, 1.5);
+        const glm::vec3 along(std::cos(turn), rise, std::sin(turn));
+        const auto first = std::uint32_t(mesh.positions.size());
+        mesh.positions.push_back(at);
+        mesh.positions.push_back(at + 0.25f * along);
+        mesh.positions.push_back(
+            at + glm::vec3(0.02 * std::sin(turn), 0.02, -0.02 * std::cos(turn)));
+        for (std::uint32_t k = 0; k < 3; ++k)
+            mesh.indices.push_back(first + k);
+    }
+    return mesh;
+}
+
+/// Part of a disk that looks down which the triangles hide from a point: a grid of points
+/// on it, in double.
+double hidden(const Mesh& mesh, const AreaLight& light, glm::dvec3 p) {
+    constexpr int kSide = 80;
+    int dark = 0, rays = 0;
+    for (int i = 0; i < kSide * kSide; ++i) {
+        const double x = (i % kSide + 0.5) / kSide * 2 - 1;
+        const double y = (i / kSide + 0.5) / kSide * 2 - 1;
+        if (x * x + y * y > 1.0) continue;
+        const glm::dvec3 way = light.position + light.radius * glm::dvec3(x, 0, y) - p;
+        bool meets = false;
+        for (std::size_t t = 0; t < mesh.indices.size() && !meets; t += 3) {
+            const glm::dvec3 a = glm::dvec3(mesh.positions[t]) - p;
+            const glm::dvec3 b = glm::dvec3(mesh.positions[t + 1]) - p;
+            const glm::dvec3 c = glm::dvec3(mesh.positions[t + 2]) - p;
+            const bool sides[3] = {glm::dot(way, glm::cross(a, b)) > 0,
+                                   glm::dot(way, glm::cross(b, c)) > 0,
+                                   glm::dot(way, glm::cross(c, a)) > 0};
+            meets = sides[0] == sides[1] && sides[1] == sides[2];
+        }
+        dark += meets;
+        ++rays;
+    }
+    return double(dark) / rays;
+}
+
+}  // namespace
+
+TEST_CASE("a small light's shadow of slender leaves is exact far below them",
+          "[bake][statistical]") {
+    const Mesh mesh = leaves(400);
+    BakeOptions o = test::diskAbove(256);
+    o.light.radius = 0.04;
+    o.nearField = kAutomaticNearField;
+    Casters casters({mesh});
+    const Baked with = mustBake(casters, o);
+    o.nearField = 0;
+    const Baked without = mustBake(casters, o);
+    // Leaves are 60 to 120 pixels of depth above the points.
+    CHECK(with.map.projection(0).pixelFootprint(4.0) < 0.017);
+    std::vector<glm::dvec3> points, normals;
+    Random random(5);
+    for (int i = 0; i < 60; ++i) {
+        points.emplace_back(random.in(-0.6, 0.6), 0.0, random.in(-0.6, 0.6));
+        normals.emplace_back(0, 1, 0);
+    }
+    ShadowOptions query;
+    query.samples = 1024;
+    const auto ask = [&](const ShadowMap& map) {
+        std::vector<float> out(points.size());
+        shadowFactors(map, o.light, points.data(), normals.data(), points.size(),
+                      out.data(), query);
+        return out;
+    };
+    const std::vector<float> a = ask(with.map), b = ask(without.map);
+    double errorWith = 0.0, errorWithout = 0.0, shadow = 0.0;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const double expected = hidden(mesh, o.light, points[i]);
+        errorWith += std::abs(a[i] - expected) / double(points.size());
+        errorWithout += std::abs(b[i] - expected) / double(points.size());
+        shadow += expected / double(points.size());
+    }
+    INFO("mean errors " << errorWith << " and " << errorWithout << " of " << shadow);
+    CHECK(shadow > 0.1);
+    // 1024 samples of the map and 5025 of this are that far apart.
+    CHECK(errorWith < 0.01);
+    CHECK(errorWithout > 0.03);
+}
+
 TEST_CASE("the Hilbert curve goes through every cell and only to neighbours", "[bake]") {
     constexpr std::uint32_t kSide = 16;
     std::vector<std::array<std::uint32_t, 3>> cells(kSide * kSide * kSide);

@@ -164,11 +164,11 @@ Rays traced(const PatchTree& tree, Rays rays) {
     return rays;
 }
 
-int bitsIn(const std::vector<std::uint16_t>& open) {
-    int bits = 0;
-    for (const std::uint16_t row : open)
-        bits += std::popcount(row);
-    return bits;
+int openRays(const Rays& rays) {
+    int count = 0;
+    for (int row = 0; row < rays.rows(); ++row)
+        count += std::popcount(rays.bundle.open[row]);
+    return count;
 }
 
 /// Smooth islands in several layers, one over the other.
@@ -305,29 +305,27 @@ TEST_CASE("rough surfaces block by their pixels, each on a plane of its own",
     };
     std::vector<Pixel> pixels;
     std::size_t bumpy = 0;
-    const auto add = [&](const trace::PatchGroup& g, int i, double u, double v,
-                         double above) {
-        pixels.push_back({u, v,
-                          g.w[i] + g.gradientU[i] * (u + 0.5 - g.u[i]) +
-                              g.gradientV[i] * (v + 0.5 - g.v[i]) + above,
-                          g.gradientU[i], g.gradientV[i]});
+    const auto add = [&](const trace::Patch& g, double u, double v, double above) {
+        pixels.push_back(
+            {u, v,
+             g.w + g.gradientU * (u + 0.5 - g.u) + g.gradientV * (v + 0.5 - g.v) + above,
+             g.gradientU, g.gradientV});
     };
-    const auto addLeaf = [&](const trace::PatchGroup& g, int i) {
-        if (!g.bumpy[i]) {
-            const double u = std::floor(g.u[i] / 16) * 16,
-                         v = std::floor(g.v[i] / 16) * 16;
+    const auto addLeaf = [&](const trace::Patch& g) {
+        if (!g.bumpy) {
+            const double u = std::floor(g.u / 16) * 16, v = std::floor(g.v / 16) * 16;
             for (int t = 0; t < 256; ++t) {
-                if (tree.covers()[g.cover[i]].row[t / 16] >> (t % 16) & 1)
-                    add(g, i, u + t % 16, v + t / 16, 0.0);
+                if (tree.covers()[g.cover].row[t / 16] >> (t % 16) & 1)
+                    add(g, u + t % 16, v + t / 16, 0.0);
             }
             return;
         }
-        const trace::BumpPlane bumps = tree.bumps(g.cover[i]);
-        const double u = std::floor(g.u[i] / 4) * 4, v = std::floor(g.v[i] / 4) * 4;
+        const trace::BumpPlane bumps = tree.bumps(g.cover);
+        const double u = std::floor(g.u / 4) * 4, v = std::floor(g.v / 4) * 4;
         for (int t = 0; t < 16; ++t) {
             if (bumps.offset[t] == trace::BumpPlane::kNone) continue;
-            add(g, i, u + t % 4, v + t / 4,
-                double(g.residual[i]) * bumps.offset[t] / trace::BumpPlane::kSteps);
+            add(g, u + t % 4, v + t / 4,
+                double(g.residual) * bumps.offset[t] / trace::BumpPlane::kSteps);
             ++bumpy;
         }
     };
@@ -336,13 +334,13 @@ TEST_CASE("rough surfaces block by their pixels, each on a plane of its own",
         const PatchTree::Entry entry = waiting.back();
         waiting.pop_back();
         for (std::uint32_t n = entry.group; n < entry.group + entry.groups; ++n) {
-            const trace::PatchGroup& g = tree.groups()[n];
             for (int i = 0; i < 4; ++i) {
-                if (g.high[i] == -HUGE_VALF) continue;
-                if (g.childGroups[i] > 0)
-                    waiting.push_back({g.children[i], g.childGroups[i]});
+                const trace::Patch g = tree.groups()[n].patch(i);
+                if (g.high == -HUGE_VALF) continue;
+                if (g.childGroups > 0)
+                    waiting.push_back({g.children, g.childGroups});
                 else
-                    addLeaf(g, i);
+                    addLeaf(g);
             }
         }
     }
@@ -386,7 +384,7 @@ TEST_CASE("what a sheet closes early is what its pixels block", "[trace][exact]"
         const PatchTree tree = treeOf(wall.map());
         // The whole wall is one, but for the coarsest texels at its border.
         const PatchTree::Level& level = tree.levels()[1];
-        CHECK(tree.groups()[level.tiles[0].group].sheet[0]);
+        CHECK(tree.groups()[level.tiles[0].group].patch(0).sheet);
         Disagreement found;
         int different = 0;
         for (int i = 0; i < 100; ++i) {
@@ -459,7 +457,7 @@ TEST_CASE("a receiver's answers do not depend on the others", "[trace][twin]") {
                 anyRays(random, 16, i % 4 == 0 ? 1 : 1 + int(random.below(4)));
             wide += all.bundle.wide != 0;
             const Rays together = traced(tree, all);
-            const int left = bitsIn(openOf(together));
+            const int left = openRays(together);
             open += left;
             blocked += kLanes * all.rows() - left;
             const auto compare = [&](const std::vector<int>& receivers) {
@@ -546,8 +544,7 @@ TEST_CASE("a hull that meets nothing has no rays that are blocked", "[trace][twi
                 hull.slopeHighV = std::max(hull.slopeHighV, b.slopeHighV[i]);
             }
             hull.wFirst = hull.wLow;
-            const bool blocked =
-                bitsIn(openOf(traced(tree, rays))) < bitsIn(openOf(rays));
+            const bool blocked = openRays(traced(tree, rays)) < openRays(rays);
             const bool may = trace::mayMeet(tree, hull);
             if (blocked) CHECK(may);
             ++(may ? met : free);
@@ -571,7 +568,7 @@ TEST_CASE("what does not rise above a tangent plane does not block", "[trace][ex
     rays.bundle.planeHeight = 0.18f;  // starts lie 0.19 to 0.21 below the wall
     CHECK(openOf(traced(tree, rays)) == openOf(without));
     rays.bundle.planeHeight = 0.22f;
-    CHECK(bitsIn(openOf(traced(tree, rays))) == kLanes * rays.rows());
+    CHECK(openRays(traced(tree, rays)) == kLanes * rays.rows());
 }
 
 TEST_CASE("a wall counts behind begin and up to the ray's end", "[trace][exact]") {

@@ -20,7 +20,7 @@ using test::mapOf;
 using test::Random;
 using test::TestLayer;
 using trace::kTexels;
-using trace::PatchGroup;
+using trace::Patch;
 using trace::PatchTree;
 
 namespace {
@@ -38,14 +38,14 @@ struct Sample {
 /// A patch is named by its group and its place in it.
 using PatchName = std::pair<std::uint32_t, int>;
 
-double planeAt(const PatchGroup& g, int i, double u, double v) {
-    return g.w[i] + g.gradientU[i] * (u - g.u[i]) + g.gradientV[i] * (v - g.v[i]);
+double planeAt(const Patch& g, double u, double v) {
+    return g.w + g.gradientU * (u - g.u) + g.gradientV * (v - g.v);
 }
 
 /// Rounding of planes in float.
-double slack(const PatchGroup& g, int i) {
-    return 4e-7 * (std::abs(g.w[i]) +
-                   kTexels * (std::abs(g.gradientU[i]) + std::abs(g.gradientV[i])));
+double slack(const Patch& g) {
+    return 4e-7 *
+           (std::abs(g.w) + kTexels * (std::abs(g.gradientU) + std::abs(g.gradientV)));
 }
 
 /// Left edge of the tile that a box lies in.
@@ -101,63 +101,58 @@ class Checker {
     void eachPatch(std::uint32_t group, std::uint32_t groups, const Visit& visit) const {
         for (std::uint32_t g = group; g < group + groups; ++g) {
             for (int i = 0; i < 4; ++i) {
-                if (tree_.groups()[g].high[i] > -HUGE_VALF) visit(PatchName(g, i));
+                if (tree_.groups()[g].high(i) > -HUGE_VALF) visit(PatchName(g, i));
             }
         }
     }
-    [[nodiscard]] const PatchGroup& groupOf(PatchName patch) const {
-        return tree_.groups()[patch.first];
+    [[nodiscard]] Patch patchOf(PatchName patch) const {
+        return tree_.groups()[patch.first].patch(patch.second);
     }
     [[nodiscard]] const trace::CoverPlane* coverOf(PatchName patch) const {
-        return tree_.covers() + groupOf(patch).cover[patch.second];
+        return tree_.covers() + patchOf(patch).cover;
     }
     void expect(bool holds, const char* what) {
         if (!holds) ++failures_[what];
     }
 
     void findLeaves(PatchName patch) {
-        const PatchGroup& g = groupOf(patch);
-        const int i = patch.second;
-        if (g.childGroups[i] > 0) {
-            eachPatch(g.children[i], g.childGroups[i],
+        const Patch g = patchOf(patch);
+        if (g.childGroups > 0) {
+            eachPatch(g.children, g.childGroups,
                       [&](PatchName child) { findLeaves(child); });
             return;
         }
-        expect(g.level[i] == 0 && !g.shared[i], "leaves are of pixels");
+        expect(g.level == 0 && !g.shared, "leaves are of pixels");
         for (std::uint32_t p = 0; p < 256; ++p) {
             if (isCovered(patch, p))
-                leaves_[{cornerOf(g.u[i], 0) + p % 16, cornerOf(g.v[i], 0) + p / 16}]
-                    .push_back(patch);
+                leaves_[{cornerOf(g.u, 0) + p % 16, cornerOf(g.v, 0) + p / 16}].push_back(
+                    patch);
         }
     }
 
     /// What a bumpy leaf says of pixel p of its tile.
     [[nodiscard]] std::int16_t bumpOf(PatchName leaf, std::uint32_t p) const {
-        const PatchGroup& g = groupOf(leaf);
-        const int i = leaf.second;
-        const std::uint32_t x = cornerOf(g.u[i], 0) + p % 16,
-                            y = cornerOf(g.v[i], 0) + p / 16;
-        if (x / 4 != std::uint32_t(g.u[i]) / 4 || y / 4 != std::uint32_t(g.v[i]) / 4)
+        const Patch g = patchOf(leaf);
+        const std::uint32_t x = cornerOf(g.u, 0) + p % 16, y = cornerOf(g.v, 0) + p / 16;
+        if (x / 4 != std::uint32_t(g.u) / 4 || y / 4 != std::uint32_t(g.v) / 4)
             return trace::BumpPlane::kNone;
-        return tree_.bumps(g.cover[i]).offset[y % 4 * 4 + x % 4];
+        return tree_.bumps(g.cover).offset[y % 4 * 4 + x % 4];
     }
     [[nodiscard]] bool isCovered(PatchName patch, std::uint32_t p) const {
-        if (groupOf(patch).bumpy[patch.second])
-            return bumpOf(patch, p) != trace::BumpPlane::kNone;
+        if (patchOf(patch).bumpy) return bumpOf(patch, p) != trace::BumpPlane::kNone;
         return bitOf(*coverOf(patch), p % 16, p / 16);
     }
 
     [[nodiscard]] bool holds(PatchName leaf, const Sample& s) const {
-        const PatchGroup& g = groupOf(leaf);
-        const int i = leaf.second;
-        if (g.bumpy[i]) {
+        const Patch g = patchOf(leaf);
+        if (g.bumpy) {
             const double bump = bumpOf(leaf, s.y % 16 * 16 + s.x % 16) *
-                                double(g.residual[i]) / trace::BumpPlane::kSteps;
-            return std::abs(planeAt(g, i, s.x + 0.5, s.y + 0.5) + bump - s.w) <=
-                   slack(g, i) + 3e-5 * g.residual[i];
+                                double(g.residual) / trace::BumpPlane::kSteps;
+            return std::abs(planeAt(g, s.x + 0.5, s.y + 0.5) + bump - s.w) <=
+                   slack(g) + 3e-5 * g.residual;
         }
-        const double away = std::abs(planeAt(g, i, s.x + 0.5, s.y + 0.5) - s.w);
-        return away <= g.residual[i] + slack(g, i) && s.w >= g.low[i] && s.w <= g.high[i];
+        const double away = std::abs(planeAt(g, s.x + 0.5, s.y + 0.5) - s.w);
+        return away <= g.residual + slack(g) && s.w >= g.low && s.w <= g.high;
     }
 
     /// Finds for each sample the leaf that it is in: some order of the pixel's leaves
@@ -194,20 +189,17 @@ class Checker {
 
     /// Checks a patch against all samples in it.
     std::vector<Sample> samplesOf(PatchName patch) {
-        const PatchGroup& g = groupOf(patch);
-        const int i = patch.second;
+        const Patch g = patchOf(patch);
         std::vector<Sample> samples;
-        if (g.childGroups[i] == 0) samples = sampleOf_[patch];
-        eachPatch(g.children[i], g.childGroups[i], [&](PatchName child) {
+        if (g.childGroups == 0) samples = sampleOf_[patch];
+        eachPatch(g.children, g.childGroups, [&](PatchName child) {
             const std::vector<Sample> more = samplesOf(child);
             samples.insert(samples.end(), more.begin(), more.end());
-            const PatchGroup& c = groupOf(child);
-            const int k = child.second;
-            expect(c.level[k] == g.level[i] || c.level[k] + 1 == g.level[i],
-                   "a level at a time");
-            expect(c.low[k] >= g.low[i] && c.high[k] <= g.high[i], "depths of children");
-            expect(std::abs(c.u[k] - g.u[i]) + c.halfU[k] <= g.halfU[i] + 1e-4f &&
-                       std::abs(c.v[k] - g.v[i]) + c.halfV[k] <= g.halfV[i] + 1e-4f,
+            const Patch c = patchOf(child);
+            expect(c.level == g.level || c.level + 1 == g.level, "a level at a time");
+            expect(c.low >= g.low && c.high <= g.high, "depths of children");
+            expect(std::abs(c.u - g.u) + c.halfU <= g.halfU + 1e-4f &&
+                       std::abs(c.v - g.v) + c.halfV <= g.halfV + 1e-4f,
                    "boxes of children");
         });
         expect(!samples.empty(), "no patch without samples");
@@ -216,22 +208,20 @@ class Checker {
         for (const Sample& s : samples) {
             u0 = std::min(u0, float(s.x)), u1 = std::max(u1, float(s.x + 1));
             v0 = std::min(v0, float(s.y)), v1 = std::max(v1, float(s.y + 1));
-            expect(s.w >= g.low[i] && s.w <= g.high[i], "depths of samples");
-            const double away = std::abs(planeAt(g, i, s.x + 0.5, s.y + 0.5) - s.w);
-            expect(away <= g.residual[i] + slack(g, i), "distances from the plane");
+            expect(s.w >= g.low && s.w <= g.high, "depths of samples");
+            const double away = std::abs(planeAt(g, s.x + 0.5, s.y + 0.5) - s.w);
+            expect(away <= g.residual + slack(g), "distances from the plane");
         }
-        const float texel = g.texel[i] > 0.0f ? g.texel[i] : 1.0f;
+        const float texel = g.texel > 0.0f ? g.texel : 1.0f;
         const auto isEdge = [texel](float at, float box, bool high) {
             const float edge =
                 texel * (high ? std::ceil(at / texel) : std::floor(at / texel));
             return std::abs(edge - box) < 1.0f / 256;  // bounds are a little larger
         };
-        expect(isEdge(u0, g.u[i] - g.halfU[i], false) &&
-                   isEdge(u1, g.u[i] + g.halfU[i], true) &&
-                   isEdge(v0, g.v[i] - g.halfV[i], false) &&
-                   isEdge(v1, g.v[i] + g.halfV[i], true),
+        expect(isEdge(u0, g.u - g.halfU, false) && isEdge(u1, g.u + g.halfU, true) &&
+                   isEdge(v0, g.v - g.halfV, false) && isEdge(v1, g.v + g.halfV, true),
                "the box is that of the texels");
-        if (g.sheet[i])
+        if (g.sheet)
             expect(pixels.size() == std::size_t((u1 - u0) * (v1 - v0)),
                    "a sheet fills its box");
         checkCover(patch, pixels);
@@ -249,12 +239,11 @@ class Checker {
     using Counts = std::array<int, 256>;
     /// How many pixels of each texel.
     [[nodiscard]] Counts countsOf(PatchName patch, const Pixels& pixels) const {
-        const PatchGroup& g = groupOf(patch);
-        const int i = patch.second;
+        const Patch g = patchOf(patch);
         Counts counts{};
         for (const auto& [x, y] : pixels)
-            ++counts[((y - cornerOf(g.v[i], g.level[i])) >> g.level[i]) * 16 +
-                     ((x - cornerOf(g.u[i], g.level[i])) >> g.level[i])];
+            ++counts[((y - cornerOf(g.v, g.level)) >> g.level) * 16 +
+                     ((x - cornerOf(g.u, g.level)) >> g.level)];
         return counts;
     }
     /// In sixteenths.
@@ -266,9 +255,9 @@ class Checker {
     }
 
     void addShares(PatchName patch, const Pixels& pixels) {
-        const PatchGroup& g = groupOf(patch);
-        if (!g.shared[patch.second]) return;
-        const double full = std::exp2(2.0 * g.level[patch.second]);
+        const Patch g = patchOf(patch);
+        if (!g.shared) return;
+        const double full = std::exp2(2.0 * g.level);
         const Counts counts = countsOf(patch, pixels);
         for (std::uint32_t p = 0; p < 256; ++p) {
             const double exact = 16.0 * counts[p] / full, step = exact > 14.0 ? 2.0 : 1.0;
@@ -281,23 +270,20 @@ class Checker {
 
     /// Texels against the pixels of all samples in the patch.
     void checkCover(PatchName patch, const Pixels& pixels) {
-        const PatchGroup& g = groupOf(patch);
-        const int i = patch.second;
-        const std::uint32_t texel = 1u << g.level[i];
+        const Patch g = patchOf(patch);
+        const std::uint32_t texel = 1u << g.level;
         const Counts counts = countsOf(patch, pixels);
         bool anyPart = false;
         for (std::uint32_t p = 0; p < 256; ++p) {
             const int count = counts[p], full = int(texel * texel);
             anyPart = anyPart || (count > 0 && count < full);
             const double half = 0.5 * texel;
-            const double over =
-                planeAt(g, i, cornerOf(g.u[i], g.level[i]) + p % 16 * texel + half,
-                        cornerOf(g.v[i], g.level[i]) + p / 16 * texel + half);
-            const double reach =
-                half * (std::abs(g.gradientU[i]) + std::abs(g.gradientV[i]));
-            expect(count == 0 || (over - reach >= g.low[i] && over + reach <= g.high[i]),
+            const double over = planeAt(g, cornerOf(g.u, g.level) + p % 16 * texel + half,
+                                        cornerOf(g.v, g.level) + p / 16 * texel + half);
+            const double reach = half * (std::abs(g.gradientU) + std::abs(g.gradientV));
+            expect(count == 0 || (over - reach >= g.low && over + reach <= g.high),
                    "depths of the plane");
-            if (!g.shared[i]) {
+            if (!g.shared) {
                 expect(isCovered(patch, p) == (count == full), "covered texels");
                 continue;
             }
@@ -306,8 +292,8 @@ class Checker {
             const double step = exact > 14.0 ? 2.0 : 1.0;
             expect(std::abs(stored - exact) < step || stored == exact, "shares");
         }
-        expect(g.shared[i] == anyPart, "shared where texels are covered in part");
-        expect(g.texel[i] == (anyPart ? float(texel) : 0.0f), "the size of texels");
+        expect(g.shared == anyPart, "shared where texels are covered in part");
+        expect(g.texel == (anyPart ? float(texel) : 0.0f), "the size of texels");
     }
 
     const ShadowMap& map_;
@@ -376,7 +362,7 @@ TEST_CASE("the tree of a map without layers has no patches", "[trace]") {
     const ShadowMap map = mapOf(test::plainInfo(40, 24, 8), test::plainProjection(40, 24),
                                 [](auto, auto) { return std::vector<TestLayer>{}; });
     const PatchTree tree = PatchTree::build(map, 0, {});
-    CHECK(tree.patchCount() == 0);
+    CHECK(tree.pieceSize() == 0.0f);
     for (const PatchTree::Level& level : tree.levels()) {
         for (const PatchTree::Entry& tile : level.tiles)
             CHECK(tile.groups == 0);

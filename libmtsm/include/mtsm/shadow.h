@@ -31,14 +31,15 @@
 // are pieces of tilted planes, up to three pixel footprints of depth from pixel to pixel;
 // steeper ones let some of the light through. Where the map has a near field
 // (mtsm/near_field.h), what lies within 32 pixel footprints of depth above the receiver
-// is met exactly; beside strands (maps of one face) up to where the light, seen through
-// the receiver, is three pixels wide, and of sheets (mtsm/near_sheets.h) up to 8 pixels.
-// Strands on which a receiver lies do not darken it where it lies. Visibility of media
-// and sheets is kept to .0004. Of six faces each is followed by itself, sheets at the
-// border between two by both. Attenuation::subtract, maps of more than 2^28 layers, and
-// points further than 8 windows outside the view or closer to the light than any layer
-// are followed ray by ray: ShadowMethod::scalar, the definition, which knows no near
-// field.
+// is met exactly, of slender leaves up to 256 while the light, seen through the receiver,
+// is less than 8 pixels wide; beside strands (maps of one face) up to where the light,
+// seen through the receiver, is three pixels wide, and of sheets (mtsm/near_sheets.h) up to
+// 8 pixels. Strands on which a receiver lies do not darken it where it lies. Visibility
+// of media and sheets is kept to .0004. Of six faces each is followed by itself, sheets
+// at the border between two by both. Attenuation::subtract, maps of more than 2^28
+// layers, and points further than 8 windows outside the view or closer to the light than
+// any layer are followed ray by ray: ShadowMethod::scalar, the definition, which knows no
+// near field.
 //
 // Rays of your own (visibility, visibilities) go the same way, those of a batch that
 // follow each other from one origin together. Each counts for itself, down to the finest
