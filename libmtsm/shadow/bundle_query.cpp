@@ -26,11 +26,10 @@ constexpr double kNearHeight = 0.01;
 constexpr double kNearStart = 0.1;
 /// Beside hair it answers until the light, from where the ray is, is so many pixels wide
 /// through the receiver; for at most and at least so many footprints of depth.
-constexpr double kHairWidth = 2.0;
+constexpr double kHairWidth = 8.0;
 constexpr double kHairMost = 256.0, kHairLeast = 2.0;
-/// Strands begin to count so many footprints above a receiver without a normal: its own
-/// strand is thinner.
-constexpr double kHairStart = 0.4;
+/// Strands begin to count so many footprints above a receiver without a normal.
+constexpr double kHairStart = 0.02;
 
 /// The same beside sheets, which are few.
 constexpr double kSheetWidth = 8.0;

@@ -4,8 +4,13 @@
 // from it, sixteen at once; and each that its light may shine through is tested against
 // sixteen rays at once.
 //
+// The receiver's own strand is told by its segments being joined end to end, because
+// they carry no ids. So those that are close to a receiver wait until all of them are
+// known: then those on which it lies are found, and what is joined to them.
+//
 // What a ray meets does not depend on the rays beside it: which segments a receiver looks
-// at follows from its own box and slopes, and it meets them in the order of the file.
+// at follows from its own box and slopes, and it meets them in the order of the file,
+// those that waited last.
 //
 // Fused multiply-adds are not used where hits are decided, for they would make one
 // machine's answer another's rounding.
@@ -51,9 +56,9 @@ constexpr float kMargin = 0x1p-19f;
 /// depth on at least.
 constexpr float kLeastRise = 0x1p-12f;
 
-/// A receiver that is no further than this many half widths from a strand's middle line
-/// lies on it.
-constexpr float kWithin = 1.05f;
+// From a strand's middle line, in half widths: a receiver that is no further lies on it,
+// and one that is further does not meet it within a width.
+constexpr float kWithin = 1.05f, kClose = 2.25f;
 
 /// a + t (b - a)
 HWY_INLINE Vec between(Vec a, Vec b, Vec t) {
@@ -66,6 +71,7 @@ struct Segments {
     alignas(64) float half[2][kSegments];
     std::uint32_t present = 0;
 
+    Segments() {}
     explicit Segments(const NearHairChunk& chunk) {
         const Floats d;
         const hn::Rebind<std::int32_t, Floats> whole;
@@ -92,12 +98,46 @@ struct Segments {
 };
 
 /// Segments seen from a receiver: where a slope lies along each, 0 to 1 between its ends,
-/// and how far across, in a measure in which `wide` is known.
+/// and how far across, in world units over rise.
 struct SeenSegments {
     alignas(64) float firstU[kSegments], firstV[kSegments];
     alignas(64) float alongU[kSegments], alongV[kSegments];
     alignas(64) float acrossU[kSegments], acrossV[kSegments];
     alignas(64) float wide[kSegments], widen[kSegments];  // at 0, and how much more at 1
+};
+
+/// Segments that may be of a receiver's own strand.
+struct CloseSegments {
+    Segments segments;
+    int count = 0;
+    float depth[kSegments];
+    float step[kSegments][3];  ///< of the grids on which their ends lie
+
+    /// Have two of them an end in common?
+    [[nodiscard]] bool joined(int i, int j) const {
+        for (const int ends : {0, 1, 2, 3}) {
+            const auto& a = segments.at[ends & 1];
+            const auto& b = segments.at[ends >> 1];
+            bool same = true;
+            for (int axis = 0; axis < 3; ++axis) {
+                const float most = 0.51f * (step[i][axis] + step[j][axis]);
+                same = same && std::abs(a[axis][i] - b[axis][j]) <= most;
+            }
+            if (same) return true;
+        }
+        return false;
+    }
+    /// Those of a set and what is joined to it.
+    [[nodiscard]] std::uint32_t strandOf(std::uint32_t set) const {
+        for (std::uint32_t fresh = set; fresh; fresh &= fresh - 1) {
+            for (int j = 0; j < count; ++j) {
+                if (set >> j & 1 || !joined(std::countr_zero(fresh), j)) continue;
+                set |= 1u << j;
+                fresh |= 1u << j;
+            }
+        }
+        return set;
+    }
 };
 
 /// One call of traceHair().
@@ -116,6 +156,8 @@ class HairWalk {
 
     void run() {
         if (lanesLeft_ && !hair_.levels.empty()) node(hair_.levels.size() - 1, 0);
+        for (std::uint32_t rest = lanesLeft_; rest; rest &= rest - 1)
+            meetClose(std::countr_zero(rest));
     }
     /// Adds what was met.
     void settle(float darkDepth, std::uint32_t channels, RayDepths& depths);
@@ -124,11 +166,20 @@ class HairWalk {
     void setUp(int receiver);
     void node(std::size_t level, std::size_t index);
     [[nodiscard]] std::uint32_t lanesAt(const NearBoxes& boxes, int i) const;
-    void chunk(const NearHairChunk& chunk, std::uint32_t lanes);
-    [[nodiscard]] Mask isOwn(int lane, const Vec (&a)[3], const Vec (&b)[3], Vec halfA,
-                             Vec halfB) const;
+    [[nodiscard]] bool isAround(const NearBoxes& boxes, int i, int lane) const;
+    void chunk(const NearHairChunk& chunk, std::uint32_t lanes, std::uint32_t around);
+    [[nodiscard]] std::uint32_t putAside(int lane, const NearHairChunk& chunk,
+                                         const Segments& segments);
+    [[nodiscard]] std::uint32_t within(int lane, const Segments& segments,
+                                       float halves) const;
+    void meetClose(int lane);
     [[nodiscard]] std::uint32_t look(int lane, const Segments& segments,
-                                     SeenSegments& seen) const;
+                                     const float* least, SeenSegments& seen) const;
+    struct Slope {
+        Vec u, v;
+    };
+    [[nodiscard]] Slope facing(int lane, const Vec (&first)[2], Vec eu, Vec ev) const;
+    void across(int lane, Slope ray, const Vec (&way)[3], Vec (&side)[2]) const;
     [[nodiscard]] float depthOf(std::uint16_t opacity);
     void cross(int lane, const SeenSegments& seen, int i, float depth);
 
@@ -140,7 +191,9 @@ class HairWalk {
     /// Boxes around what rays pass of the near field, [axis][receiver]; of receivers
     /// without any empty.
     alignas(64) float low_[3][kMostReceivers], high_[3][kMostReceivers];
-    float least_[kMostReceivers];  // w above the start from which on strands count
+    /// [receiver]: w above the start from which on strands count, for all of a chunk.
+    alignas(64) float least_[kMostReceivers][kSegments];
+    float perWorld_[kMostReceivers];  // w that rays rise in a world unit
     std::uint32_t lanesLeft_ = 0;
     // Hair is mostly of one opacity, and logarithms take long.
     std::uint16_t lastOpacity_ = 0;
@@ -148,6 +201,7 @@ class HairWalk {
     /// [row][lane], of receivers in lanesLeft_.
     alignas(64) float slopeU_[kMostRows][kLanes], slopeV_[kMostRows][kLanes];
     alignas(64) float met_[kMostRows][kLanes];
+    CloseSegments close_[kMostReceivers];
 };
 
 void HairWalk::setUp(int receiver) {
@@ -169,9 +223,9 @@ void HairWalk::setUp(int receiver) {
     }
     const float w = rays_.w[receiver];
     const float footprint = view_.footprint * (view_.perspective ? w : 1.0f);
-    least_[receiver] = kLeastRise * rise;
-    if (!rays_.hasPlanes)
-        least_[receiver] = std::max(least_[receiver], view_.start * footprint);
+    const float least =
+        std::max(kLeastRise * rise, rays_.hasPlanes ? 0.0f : view_.start * footprint);
+    std::fill_n(least_[receiver], kSegments, least);
     const float start[3] = {rays_.u[receiver], rays_.v[receiver], w};
     const float lows[3] = {rays_.slopeLowU[receiver], rays_.slopeLowV[receiver], 0.0f};
     const float highs[3] = {rays_.slopeHighU[receiver], rays_.slopeHighV[receiver], 1.0f};
@@ -184,6 +238,19 @@ void HairWalk::setUp(int receiver) {
         hullLow_[axis] = std::min(hullLow_[axis], low_[axis][receiver]);
         hullHigh_[axis] = std::max(hullHigh_[axis], high_[axis][receiver]);
     }
+    if (rays_.hasPlanes) return;
+    // The middle ray, in light space, for each w that it rises.
+    const float z = view_.perspective ? 1.0f / w : 1.0f;
+    const float scales[2] = {view_.scaleU, view_.scaleV};
+    const float offsets[2] = {view_.offsetU, view_.offsetV};
+    float way[3] = {0.0f, 0.0f, view_.perspective ? -z * z : -1.0f};
+    for (int axis = 0; axis < 2; ++axis) {
+        way[axis] = 0.5f * (lows[axis] + highs[axis]) * z / scales[axis];
+        if (view_.perspective)
+            way[axis] += way[2] * (start[axis] - offsets[axis]) / scales[axis];
+    }
+    perWorld_[receiver] =
+        1.0f / std::sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]);
 }
 
 void HairWalk::node(std::size_t level, std::size_t index) {
@@ -205,11 +272,26 @@ void HairWalk::node(std::size_t level, std::size_t index) {
         const std::uint32_t lanes = lanesAt(boxes, i) & lanesLeft_;
         if (lanes == 0) continue;
         const std::size_t child = NearBoxes::kChildren * index + std::size_t(i);
-        if (level > 0)
+        if (level > 0) {
             node(level - 1, child);
-        else
-            chunk(hair_.chunks[child], lanes);
+            continue;
+        }
+        std::uint32_t around = 0;
+        for (std::uint32_t rest = rays_.hasPlanes ? 0 : lanes; rest; rest &= rest - 1) {
+            if (isAround(boxes, i, std::countr_zero(rest))) around |= rest & -rest;
+        }
+        chunk(hair_.chunks[child], lanes, around);
     }
+}
+
+/// May a receiver lie on a strand of the box, or within a width of it?
+bool HairWalk::isAround(const NearBoxes& boxes, int i, int lane) const {
+    const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
+    for (int axis = 0; axis < 3; ++axis) {
+        if (!(start[axis] >= boxes.low[axis][i] && start[axis] <= boxes.high[axis][i]))
+            return false;
+    }
+    return true;
 }
 
 /// Receivers whose rays may meet something in the box.
@@ -229,57 +311,122 @@ std::uint32_t HairWalk::lanesAt(const NearBoxes& boxes, int i) const {
     return lanes;
 }
 
-void HairWalk::chunk(const NearHairChunk& chunk, std::uint32_t lanes) {
+/// `around`: lanes of receivers that may be close to some of it.
+void HairWalk::chunk(const NearHairChunk& chunk, std::uint32_t lanes,
+                     std::uint32_t around) {
     const Segments segments(chunk);
     SeenSegments seen;
     for (; lanes; lanes &= lanes - 1) {
         const int lane = std::countr_zero(lanes);
-        for (std::uint32_t found = look(lane, segments, seen); found;
-             found &= found - 1) {
+        std::uint32_t found = look(lane, segments, least_[lane], seen);
+        if (around >> lane & 1) found &= ~putAside(lane, chunk, segments);
+        for (; found; found &= found - 1) {
             const int i = std::countr_zero(found);
             cross(lane, seen, i, depthOf(chunk.opacity[i]));
         }
     }
 }
 
-/// Segments around whose middle lines the receiver lies no further than they are wide,
-/// in light space. `a` and `b`: their ends, from the receiver, `half` there. Where that
-/// is near, straight space is as good as linear.
-Mask HairWalk::isOwn(int lane, const Vec (&a)[3], const Vec (&b)[3], Vec halfA,
-                     Vec halfB) const {
+/// Segments that wait for meetClose(): those close to the receiver, while there is room.
+std::uint32_t HairWalk::putAside(int lane, const NearHairChunk& chunk,
+                                 const Segments& segments) {
+    CloseSegments& close = close_[lane];
+    std::uint32_t aside = 0;
+    for (std::uint32_t rest = within(lane, segments, kClose);
+         rest && close.count < kSegments; rest &= rest - 1) {
+        const int i = std::countr_zero(rest), to = close.count++;
+        for (int e = 0; e < 2; ++e) {
+            for (int axis = 0; axis < 3; ++axis)
+                close.segments.at[e][axis][to] = segments.at[e][axis][i];
+            close.segments.half[e][to] = segments.half[e][i];
+        }
+        std::copy_n(chunk.step, 3, close.step[to]);
+        close.depth[to] = depthOf(chunk.opacity[i]);
+        aside |= 1u << i;
+    }
+    return aside;
+}
+
+/// The receiver's rays and what is close to it. Its own strand counts from a width on.
+void HairWalk::meetClose(int lane) {
+    CloseSegments& close = close_[lane];
+    if (close.count == 0) return;
+    // What a vector holds besides must be numbers.
+    Segments& segments = close.segments;
+    for (int i = close.count; i < kSegments; ++i) {
+        for (int e = 0; e < 2; ++e) {
+            for (int axis = 0; axis < 3; ++axis)
+                segments.at[e][axis][i] = segments.at[e][axis][0];
+            segments.half[e][i] = segments.half[e][0];
+        }
+    }
+    segments.present = (1u << close.count) - 1;
+    alignas(64) float least[kSegments];
+    std::copy_n(least_[lane], kSegments, least);
+    const float depth = view_.perspective ? 1.0f / rays_.w[lane] : 1.0f;
+    for (std::uint32_t own = close.strandOf(within(lane, segments, kWithin)); own;
+         own &= own - 1) {
+        const int i = std::countr_zero(own);
+        const float half = depth * std::max(segments.half[0][i], segments.half[1][i]);
+        least[i] = std::max(least[i], 2.0f * half * perWorld_[lane]);
+    }
+    SeenSegments seen;
+    for (std::uint32_t found = look(lane, segments, least, seen); found;
+         found &= found - 1) {
+        const int i = std::countr_zero(found);
+        cross(lane, seen, i, close.depth[i]);
+    }
+}
+
+/// Segments from whose middle lines the receiver is no further than so many half widths,
+/// in light space. Where that is near, straight space is as good as linear.
+std::uint32_t HairWalk::within(int lane, const Segments& segments, float halves) const {
     const Floats d;
     const float z = view_.perspective ? 1.0f / rays_.w[lane] : 1.0f;
-    const auto light = [&](const Vec(&p)[3], Vec(&out)[3]) {
-        out[2] = hn::Mul(p[2], hn::Set(d, view_.perspective ? -z * z : -1.0f));
-        const float slopes[2] = {(rays_.u[lane] - view_.offsetU) / view_.scaleU,
-                                 (rays_.v[lane] - view_.offsetV) / view_.scaleV};
-        const float scales[2] = {view_.scaleU, view_.scaleV};
-        for (int axis = 0; axis < 2; ++axis) {
-            out[axis] = hn::Mul(p[axis], hn::Set(d, z / scales[axis]));
-            if (view_.perspective)
-                out[axis] = hn::Add(out[axis], hn::Mul(out[2], hn::Set(d, slopes[axis])));
-        }
-    };
+    const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
+    const float scales[2] = {view_.scaleU, view_.scaleV};
+    const float slopes[2] = {(start[0] - view_.offsetU) / view_.scaleU,
+                             (start[1] - view_.offsetV) / view_.scaleV};
     const auto dot = [](const Vec(&p)[3], const Vec(&q)[3]) {
         return hn::Add(hn::Add(hn::Mul(p[0], q[0]), hn::Mul(p[1], q[1])),
                        hn::Mul(p[2], q[2]));
     };
-    Vec from[3], to[3], way[3], off[3];
-    light(a, from);
-    light(b, to);
-    for (int axis = 0; axis < 3; ++axis)
-        way[axis] = hn::Sub(to[axis], from[axis]);
-    const Vec t =
-        hn::Min(hn::Max(hn::Neg(hn::Div(dot(from, way), dot(way, way))), hn::Zero(d)),
-                hn::Set(d, 1.0f));
-    for (int axis = 0; axis < 3; ++axis)
-        off[axis] = hn::Add(from[axis], hn::Mul(t, way[axis]));
-    const Vec within = hn::Mul(between(halfA, halfB, t), hn::Set(d, kWithin * z));
-    return hn::Le(dot(off, off), hn::Mul(within, within));
+    std::uint32_t found = 0;
+    for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
+        const auto light = [&](int e, Vec(&out)[3]) {
+            const auto from = [&](int axis) {
+                return hn::Sub(hn::Load(d, segments.at[e][axis] + i),
+                               hn::Set(d, start[axis]));
+            };
+            out[2] = hn::Mul(from(2), hn::Set(d, view_.perspective ? -z * z : -1.0f));
+            for (int axis = 0; axis < 2; ++axis) {
+                out[axis] = hn::Mul(from(axis), hn::Set(d, z / scales[axis]));
+                if (view_.perspective)
+                    out[axis] =
+                        hn::Add(out[axis], hn::Mul(out[2], hn::Set(d, slopes[axis])));
+            }
+        };
+        Vec from[3], to[3], way[3], off[3];
+        light(0, from);
+        light(1, to);
+        for (int axis = 0; axis < 3; ++axis)
+            way[axis] = hn::Sub(to[axis], from[axis]);
+        const Vec t =
+            hn::Min(hn::Max(hn::Neg(hn::Div(dot(from, way), dot(way, way))), hn::Zero(d)),
+                    hn::Set(d, 1.0f));
+        for (int axis = 0; axis < 3; ++axis)
+            off[axis] = hn::Add(from[axis], hn::Mul(t, way[axis]));
+        const Vec half = between(hn::Load(d, segments.half[0] + i),
+                                 hn::Load(d, segments.half[1] + i), t);
+        const Vec reach = hn::Mul(half, hn::Set(d, halves * z));
+        found |= bitsOf(hn::Le(dot(off, off), hn::Mul(reach, reach))) << i;
+    }
+    return found & segments.present;
 }
 
-/// Segments that the receiver's rays may meet.
-std::uint32_t HairWalk::look(int lane, const Segments& segments,
+/// Segments that the receiver's rays may meet. `leastOf` [segment]: how far above it each
+/// begins to count, w.
+std::uint32_t HairWalk::look(int lane, const Segments& segments, const float* leastOf,
                              SeenSegments& seen) const {
     const Floats d;
     const Vec zero = hn::Zero(d), one = hn::Set(d, 1.0f);
@@ -302,7 +449,7 @@ std::uint32_t HairWalk::look(int lane, const Segments& segments,
             const Mask never = hn::And(hn::Eq(change, zero), hn::Lt(insideA, zero));
             t1 = hn::IfThenElse(never, hn::Neg(one), t1);
         };
-        const Vec least = hn::Set(d, least_[lane]), rise = hn::Set(d, rays_.rise[lane]);
+        const Vec least = hn::Load(d, leastOf + i), rise = hn::Set(d, rays_.rise[lane]);
         keep(hn::Sub(a[2], least), hn::Sub(b[2], least));
         keep(hn::Sub(rise, a[2]), hn::Sub(rise, b[2]));
         if (rays_.hasPlanes) {
@@ -332,49 +479,86 @@ std::uint32_t HairWalk::look(int lane, const Segments& segments,
         }
         const Vec eu = hn::Sub(slope[1][0], slope[0][0]);
         const Vec ev = hn::Sub(slope[1][1], slope[0][1]);
-        const Vec length2 = hn::Add(hn::Mul(eu, eu), hn::Mul(ev, ev));
-        const Vec per = hn::Div(one, length2);
-        // The plane through receiver and segment, (-ev, eu, c) in straight space: its
-        // normal in light space is as long as heights above it are multiplied by.
-        const Vec c = hn::Sub(hn::Mul(ev, slope[0][0]), hn::Mul(eu, slope[0][1]));
-        const Vec nx = hn::Mul(ev, hn::Set(d, view_.scaleU));
-        const Vec ny = hn::Mul(eu, hn::Set(d, view_.scaleV));
-        Vec nz = c;
-        if (view_.perspective) {
-            nz = hn::Mul(c, hn::Set(d, start[2]));
-            nz = hn::Sub(nz, hn::Mul(ev, hn::Set(d, start[0] - view_.offsetU)));
-            nz = hn::Add(nz, hn::Mul(eu, hn::Set(d, start[1] - view_.offsetV)));
-        }
-        const Vec size =
-            hn::Sqrt(hn::Add(hn::Add(hn::Mul(nx, nx), hn::Mul(ny, ny)), hn::Mul(nz, nz)));
-        const Vec wide[2] = {hn::Mul(size, half[0]), hn::Mul(size, half[1])};
-        const Vec widest = hn::Mul(hn::Max(wide[0], wide[1]), per);
-        const auto meets = [&](const float* low, const float* high, int axis,
-                               Vec across) {
-            const Vec reach = hn::Mul(widest, hn::Abs(across));
+        Vec side[2];
+        const Vec way[3] = {hn::Sub(b[0], a[0]), hn::Sub(b[1], a[1]),
+                            hn::Sub(b[2], a[2])};
+        across(lane, facing(lane, slope[0], eu, ev), way, side);
+        const Vec per = hn::Div(one, hn::Sub(hn::Mul(eu, side[1]), hn::Mul(ev, side[0])));
+        const Vec widest = hn::Max(half[0], half[1]);
+        const auto meets = [&](const float* low, const float* high, int axis) {
+            const Vec reach = hn::Mul(widest, hn::Abs(side[axis]));
             const Vec first = slope[0][axis], last = slope[1][axis];
             may = hn::And(may, hn::Le(hn::Sub(hn::Min(first, last), reach),
                                       hn::Set(d, high[lane])));
             may = hn::And(
                 may, hn::Ge(hn::Add(hn::Max(first, last), reach), hn::Set(d, low[lane])));
         };
-        meets(rays_.slopeLowU, rays_.slopeHighU, 0, ev);
-        meets(rays_.slopeLowV, rays_.slopeHighV, 1, eu);
-        if (!rays_.hasPlanes && !hn::AllFalse(d, may))
-            may = hn::AndNot(isOwn(lane, a, b, hn::Load(d, segments.half[0] + i),
-                                   hn::Load(d, segments.half[1] + i)),
-                             may);
+        meets(rays_.slopeLowU, rays_.slopeHighU, 0);
+        meets(rays_.slopeLowV, rays_.slopeHighV, 1);
         found |= bitsOf(may) << i;
         hn::Store(slope[0][0], d, seen.firstU + i);
         hn::Store(slope[0][1], d, seen.firstV + i);
-        hn::Store(hn::Mul(eu, per), d, seen.alongU + i);
-        hn::Store(hn::Mul(ev, per), d, seen.alongV + i);
-        hn::Store(hn::Neg(ev), d, seen.acrossU + i);
-        hn::Store(eu, d, seen.acrossV + i);
-        hn::Store(wide[0], d, seen.wide + i);
-        hn::Store(hn::Sub(wide[1], wide[0]), d, seen.widen + i);
+        hn::Store(hn::Mul(side[1], per), d, seen.alongU + i);
+        hn::Store(hn::Neg(hn::Mul(side[0], per)), d, seen.alongV + i);
+        hn::Store(hn::Neg(hn::Mul(ev, per)), d, seen.acrossU + i);
+        hn::Store(hn::Mul(eu, per), d, seen.acrossV + i);
+        hn::Store(half[0], d, seen.wide + i);
+        hn::Store(hn::Sub(half[1], half[0]), d, seen.widen + i);
     }
     return found & segments.present;
+}
+
+/// The slope of the ray that a ribbon faces: of those that the receiver has, the one
+/// nearest to where the middle line comes closest to the middle of its rays.
+HairWalk::Slope HairWalk::facing(int lane, const Vec (&first)[2], Vec eu, Vec ev) const {
+    const Floats d;
+    const float lowU = rays_.slopeLowU[lane], highU = rays_.slopeHighU[lane];
+    const float lowV = rays_.slopeLowV[lane], highV = rays_.slopeHighV[lane];
+    const Vec u = hn::Sub(hn::Set(d, 0.5f * (lowU + highU)), first[0]);
+    const Vec v = hn::Sub(hn::Set(d, 0.5f * (lowV + highV)), first[1]);
+    const Vec size = hn::Add(hn::Mul(eu, eu), hn::Mul(ev, ev));
+    const Vec at = hn::Div(hn::Add(hn::Mul(u, eu), hn::Mul(v, ev)), size);
+    const Vec t = hn::Max(hn::Zero(d), hn::Min(at, hn::Set(d, 1.0f)));
+    const auto clamp = [&](Vec x, float low, float high) {
+        return hn::Max(hn::Set(d, low), hn::Min(x, hn::Set(d, high)));
+    };
+    return {clamp(hn::Add(first[0], hn::Mul(t, eu)), lowU, highU),
+            clamp(hn::Add(first[1], hn::Mul(t, ev)), lowV, highV)};
+}
+
+/// Which way a ribbon along `way` that faces a ray reaches from its middle line, in
+/// slopes times rise: the unit normal of both in light space, moved along the ray to
+/// where it is level.
+void HairWalk::across(int lane, Slope ray, const Vec (&way)[3], Vec (&side)[2]) const {
+    const Floats d;
+    const float start[2] = {rays_.u[lane], rays_.v[lane]};
+    const float scales[2] = {view_.scaleU, view_.scaleV};
+    const float offsets[2] = {view_.offsetU, view_.offsetV};
+    const Vec w = hn::Set(d, view_.perspective ? rays_.w[lane] : 1.0f);
+    // In light space, but for a factor, as seen from the receiver.
+    const auto light = [&](const Vec(&p)[3], Vec(&out)[3]) {
+        out[2] = hn::Neg(p[2]);
+        for (int axis = 0; axis < 2; ++axis) {
+            out[axis] = hn::Mul(w, hn::Mul(p[axis], hn::Set(d, 1.0f / scales[axis])));
+            if (!view_.perspective) continue;
+            const float place = (start[axis] - offsets[axis]) / scales[axis];
+            out[axis] = hn::Sub(out[axis], hn::Mul(p[2], hn::Set(d, place)));
+        }
+    };
+    Vec r[3], e[3];
+    light({ray.u, ray.v, hn::Set(d, 1.0f)}, r);
+    light(way, e);
+    const Vec n[3] = {hn::Sub(hn::Mul(r[1], e[2]), hn::Mul(r[2], e[1])),
+                      hn::Sub(hn::Mul(r[2], e[0]), hn::Mul(r[0], e[2])),
+                      hn::Sub(hn::Mul(r[0], e[1]), hn::Mul(r[1], e[0]))};
+    const Vec size = hn::Sqrt(
+        hn::Add(hn::Add(hn::Mul(n[0], n[0]), hn::Mul(n[1], n[1])), hn::Mul(n[2], n[2])));
+    const Vec per = hn::Div(hn::Set(d, 1.0f), size);
+    for (int axis = 0; axis < 2; ++axis) {
+        // r[2] is -1: what n rises, the ray takes back.
+        const Vec level = hn::Add(n[axis], hn::Mul(n[2], r[axis]));
+        side[axis] = hn::Mul(hn::Mul(level, per), hn::Set(d, scales[axis]));
+    }
 }
 
 float HairWalk::depthOf(std::uint16_t opacity) {

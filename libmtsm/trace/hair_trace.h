@@ -5,7 +5,7 @@
 // place is a slope: how many pixels it is away in u and v for each w that it lies above.
 // A ray is one slope, and a segment a strip from slope to slope, whose two ends are as
 // wide as half, over the height above the receiver, says: a metric length across the
-// plane through the receiver and the segment, so the ribbon faces the ray. What lies of a
+// ray and the segment, so the ribbon faces the ray. What lies of a
 // segment below where strands begin to count, and beyond where the near field ends, is
 // cut away first; so a ray is answered by four half-planes, without its depth.
 #pragma once
@@ -19,8 +19,10 @@ struct HairTraceOptions {
     /// Receivers with a plane: what lies no higher than this above it does not count, in
     /// the bundle's measure.
     float height = 0.0f;
-    /// Others: what lies less than this above them, in pixel footprints, and segments on
-    /// which they lie: no further from their middle lines than half a width.
+    /// Others: what lies less than this above them, in pixel footprints, and what rises
+    /// less than a width above them of the strand on which they lie: no further from its
+    /// middle line than half a width. A strand are segments that are joined end to end
+    /// (close to the receiver, up to 16).
     float start = 0.0f;
     /// A ray that has met this much is not followed further.
     float darkDepth = kDarkDepth;
