@@ -65,10 +65,10 @@ void setBox(NearBoxes& boxes, std::size_t i, const NearChunk& chunk) {
 }
 
 /// Half widths that a box reaches further than the middle lines in it.
-constexpr float kHairReach = 2.5f;
+constexpr float kHairReach = 4.0f;
 
 /// Of strands, as far as their ribbons may reach from their middle lines, and what lies
-/// within a width beside them: in any direction of the world.
+/// within two widths of them: in any direction of the world.
 void setBox(NearBoxes& boxes, std::size_t i, const NearHairChunk& chunk,
             const Projection& p) {
     const bool perspective = p.kind == ProjectionKind::perspective;

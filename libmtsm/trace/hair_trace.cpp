@@ -7,6 +7,7 @@
 // The receiver's own strand is told by its segments being joined end to end, because
 // they carry no ids. So those that are close to a receiver wait until all of them are
 // known: then those on which it lies are found, and what is joined to them.
+// These few are met ray by ray, as a ray tracer's curves are.
 //
 // What a ray meets does not depend on the rays beside it: which segments a receiver looks
 // at follows from its own box and slopes, and it meets them in the order of the file,
@@ -58,7 +59,7 @@ constexpr float kLeastRise = 0x1p-12f;
 
 // From a strand's middle line, in half widths: a receiver that is no further lies on it,
 // and one that is further does not meet it within a width.
-constexpr float kWithin = 1.05f, kClose = 2.25f;
+constexpr float kWithin = 1.05f, kClose = 4.0f;
 
 /// a + t (b - a)
 HWY_INLINE Vec between(Vec a, Vec b, Vec t) {
@@ -113,30 +114,43 @@ struct CloseSegments {
     float depth[kSegments];
     float step[kSegments][3];  ///< of the grids on which their ends lie
 
-    /// Have two of them an end in common?
-    [[nodiscard]] bool joined(int i, int j) const {
-        for (const int ends : {0, 1, 2, 3}) {
-            const auto& a = segments.at[ends & 1];
-            const auto& b = segments.at[ends >> 1];
-            bool same = true;
-            for (int axis = 0; axis < 3; ++axis) {
-                const float most = 0.51f * (step[i][axis] + step[j][axis]);
-                same = same && std::abs(a[axis][i] - b[axis][j]) <= most;
+    int left[kSegments];        ///< the one that ends where this one begins; -1: none
+    std::uint32_t joinedRight;  ///< those that have one where they end
+
+    /// Finds what is joined.
+    void join() {
+        joinedRight = 0;
+        for (int i = 0; i < count; ++i) {
+            left[i] = -1;
+            for (int j = 0; j < count && left[i] < 0; ++j) {
+                if (i == j || !follows(j, i)) continue;
+                left[i] = j;
+                joinedRight |= 1u << j;
             }
-            if (same) return true;
         }
-        return false;
     }
     /// Those of a set and what is joined to it.
     [[nodiscard]] std::uint32_t strandOf(std::uint32_t set) const {
-        for (std::uint32_t fresh = set; fresh; fresh &= fresh - 1) {
-            for (int j = 0; j < count; ++j) {
-                if (set >> j & 1 || !joined(std::countr_zero(fresh), j)) continue;
-                set |= 1u << j;
-                fresh |= 1u << j;
+        for (std::uint32_t before = 0; before != set;) {
+            before = set;
+            for (int i = 0; i < count; ++i) {
+                if (left[i] < 0) continue;
+                const std::uint32_t both = 1u << i | 1u << left[i];
+                if (set & both) set |= both;
             }
         }
         return set;
+    }
+
+  private:
+    /// Does j begin where i ends?
+    [[nodiscard]] bool follows(int i, int j) const {
+        for (int axis = 0; axis < 3; ++axis) {
+            const float most = 0.51f * (step[i][axis] + step[j][axis]);
+            if (!(std::abs(segments.at[1][axis][i] - segments.at[0][axis][j]) <= most))
+                return false;
+        }
+        return true;
     }
 };
 
@@ -163,6 +177,14 @@ class HairWalk {
     void settle(float darkDepth, std::uint32_t channels, RayDepths& depths);
 
   private:
+    /// A close segment's middle line in light space, from the receiver.
+    struct CloseLine {
+        float from[3], along[3];
+        float along2, both, from2;  ///< along . along, along . from, from . from
+        float half, widen;          ///< where it begins, and how much more where it ends
+        float free;                 ///< rays do not meet it for so many half widths
+    };
+
     void setUp(int receiver);
     void node(std::size_t level, std::size_t index);
     [[nodiscard]] std::uint32_t lanesAt(const NearBoxes& boxes, int i) const;
@@ -173,8 +195,15 @@ class HairWalk {
     [[nodiscard]] std::uint32_t within(int lane, const Segments& segments,
                                        float halves) const;
     void meetClose(int lane);
+    void toLight(int lane, const Segments& segments, int end, int i,
+                 float (&out)[3]) const;
+    [[nodiscard]] CloseLine lineOf(int lane, const Segments& segments, int i,
+                                   bool own) const;
+    [[nodiscard]] Vec3 direction(int lane, Vec slopeU, Vec slopeV) const;
+    [[nodiscard]] std::uint32_t meets(int lane, const CloseLine& line, bool joinedLeft,
+                                      bool joinedRight, const Vec3& ray) const;
     [[nodiscard]] std::uint32_t look(int lane, const Segments& segments,
-                                     const float* least, SeenSegments& seen) const;
+                                     SeenSegments& seen) const;
     struct Slope {
         Vec u, v;
     };
@@ -191,9 +220,7 @@ class HairWalk {
     /// Boxes around what rays pass of the near field, [axis][receiver]; of receivers
     /// without any empty.
     alignas(64) float low_[3][kMostReceivers], high_[3][kMostReceivers];
-    /// [receiver]: w above the start from which on strands count, for all of a chunk.
-    alignas(64) float least_[kMostReceivers][kSegments];
-    float perWorld_[kMostReceivers];  // w that rays rise in a world unit
+    float least_[kMostReceivers];  // w above the start from which on strands count
     std::uint32_t lanesLeft_ = 0;
     // Hair is mostly of one opacity, and logarithms take long.
     std::uint16_t lastOpacity_ = 0;
@@ -223,9 +250,9 @@ void HairWalk::setUp(int receiver) {
     }
     const float w = rays_.w[receiver];
     const float footprint = view_.footprint * (view_.perspective ? w : 1.0f);
-    const float least =
-        std::max(kLeastRise * rise, rays_.hasPlanes ? 0.0f : view_.start * footprint);
-    std::fill_n(least_[receiver], kSegments, least);
+    least_[receiver] = kLeastRise * rise;
+    if (!rays_.hasPlanes)
+        least_[receiver] = std::max(least_[receiver], view_.start * footprint);
     const float start[3] = {rays_.u[receiver], rays_.v[receiver], w};
     const float lows[3] = {rays_.slopeLowU[receiver], rays_.slopeLowV[receiver], 0.0f};
     const float highs[3] = {rays_.slopeHighU[receiver], rays_.slopeHighV[receiver], 1.0f};
@@ -238,19 +265,6 @@ void HairWalk::setUp(int receiver) {
         hullLow_[axis] = std::min(hullLow_[axis], low_[axis][receiver]);
         hullHigh_[axis] = std::max(hullHigh_[axis], high_[axis][receiver]);
     }
-    if (rays_.hasPlanes) return;
-    // The middle ray, in light space, for each w that it rises.
-    const float z = view_.perspective ? 1.0f / w : 1.0f;
-    const float scales[2] = {view_.scaleU, view_.scaleV};
-    const float offsets[2] = {view_.offsetU, view_.offsetV};
-    float way[3] = {0.0f, 0.0f, view_.perspective ? -z * z : -1.0f};
-    for (int axis = 0; axis < 2; ++axis) {
-        way[axis] = 0.5f * (lows[axis] + highs[axis]) * z / scales[axis];
-        if (view_.perspective)
-            way[axis] += way[2] * (start[axis] - offsets[axis]) / scales[axis];
-    }
-    perWorld_[receiver] =
-        1.0f / std::sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]);
 }
 
 void HairWalk::node(std::size_t level, std::size_t index) {
@@ -318,7 +332,7 @@ void HairWalk::chunk(const NearHairChunk& chunk, std::uint32_t lanes,
     SeenSegments seen;
     for (; lanes; lanes &= lanes - 1) {
         const int lane = std::countr_zero(lanes);
-        std::uint32_t found = look(lane, segments, least_[lane], seen);
+        std::uint32_t found = look(lane, segments, seen);
         if (around >> lane & 1) found &= ~putAside(lane, chunk, segments);
         for (; found; found &= found - 1) {
             const int i = std::countr_zero(found);
@@ -347,35 +361,120 @@ std::uint32_t HairWalk::putAside(int lane, const NearHairChunk& chunk,
     return aside;
 }
 
-/// The receiver's rays and what is close to it. Its own strand counts from a width on.
+/// The receiver's rays and what is close to it: ribbons that face each ray, with round
+/// joints, of which a ray meets one [as Embree's flat linear curves]. Seen from so close,
+/// what faces one ray does not face another, and a joint may be all that a ray meets.
 void HairWalk::meetClose(int lane) {
     CloseSegments& close = close_[lane];
     if (close.count == 0) return;
-    // What a vector holds besides must be numbers.
     Segments& segments = close.segments;
-    for (int i = close.count; i < kSegments; ++i) {
-        for (int e = 0; e < 2; ++e) {
-            for (int axis = 0; axis < 3; ++axis)
-                segments.at[e][axis][i] = segments.at[e][axis][0];
-            segments.half[e][i] = segments.half[e][0];
+    segments.present = (1u << close.count) - 1;
+    close.join();
+    const std::uint32_t own = close.strandOf(within(lane, segments, kWithin));
+    CloseLine lines[kSegments];
+    for (int i = 0; i < close.count; ++i)
+        lines[i] = lineOf(lane, segments, i, own >> i & 1);
+    const Floats d;
+    for (int group = 0; group < rays_.groups; ++group) {
+        const int row = rays_.row(lane, group);
+        for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
+            const Vec3 ray = direction(lane, hn::Load(d, slopeU_[row] + k),
+                                       hn::Load(d, slopeV_[row] + k));
+            std::uint32_t met[kSegments], any = 0;
+            for (int i = 0; i < close.count; ++i)
+                any |= met[i] = meets(lane, lines[i], close.left[i] >= 0,
+                                      close.joinedRight >> i & 1, ray);
+            for (int i = 0; any && i < close.count; ++i) {
+                const std::uint32_t before = close.left[i] >= 0 ? met[close.left[i]] : 0;
+                const Vec more = hn::IfThenElseZero(maskOf(met[i] & ~before),
+                                                    hn::Set(d, close.depth[i]));
+                hn::Store(hn::Add(hn::Load(d, met_[row] + k), more), d, met_[row] + k);
+            }
         }
     }
-    segments.present = (1u << close.count) - 1;
-    alignas(64) float least[kSegments];
-    std::copy_n(least_[lane], kSegments, least);
-    const float depth = view_.perspective ? 1.0f / rays_.w[lane] : 1.0f;
-    for (std::uint32_t own = close.strandOf(within(lane, segments, kWithin)); own;
-         own &= own - 1) {
-        const int i = std::countr_zero(own);
-        const float half = depth * std::max(segments.half[0][i], segments.half[1][i]);
-        least[i] = std::max(least[i], 2.0f * half * perWorld_[lane]);
+}
+
+/// A place from the receiver, in light space; near it straight space is as good as
+/// linear.
+void HairWalk::toLight(int lane, const Segments& segments, int end, int i,
+                       float (&out)[3]) const {
+    const float z = view_.perspective ? 1.0f / rays_.w[lane] : 1.0f;
+    const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
+    const float scales[2] = {view_.scaleU, view_.scaleV};
+    const float offsets[2] = {view_.offsetU, view_.offsetV};
+    out[2] = (segments.at[end][2][i] - start[2]) * (view_.perspective ? -z * z : -1.0f);
+    for (int axis = 0; axis < 2; ++axis) {
+        out[axis] = (segments.at[end][axis][i] - start[axis]) * z / scales[axis];
+        if (view_.perspective)
+            out[axis] += out[2] * (start[axis] - offsets[axis]) / scales[axis];
     }
-    SeenSegments seen;
-    for (std::uint32_t found = look(lane, segments, least, seen); found;
-         found &= found - 1) {
-        const int i = std::countr_zero(found);
-        cross(lane, seen, i, close.depth[i]);
+}
+
+HairWalk::CloseLine HairWalk::lineOf(int lane, const Segments& segments, int i,
+                                     bool own) const {
+    CloseLine line;
+    float end[3];
+    toLight(lane, segments, 0, i, line.from);
+    toLight(lane, segments, 1, i, end);
+    line.along2 = line.both = line.from2 = 0.0f;
+    for (int axis = 0; axis < 3; ++axis) {
+        line.along[axis] = end[axis] - line.from[axis];
+        line.along2 += line.along[axis] * line.along[axis];
+        line.both += line.along[axis] * line.from[axis];
+        line.from2 += line.from[axis] * line.from[axis];
     }
+    const float z = view_.perspective ? 1.0f / rays_.w[lane] : 1.0f;
+    line.half = segments.half[0][i] * z;
+    line.widen = segments.half[1][i] * z - line.half;
+    line.free = own ? 2.0f : 0.0f;
+    return line;
+}
+
+/// Of rays with such slopes, in light space.
+Vec3 HairWalk::direction(int lane, Vec slopeU, Vec slopeV) const {
+    const Floats d;
+    const float w = view_.perspective ? rays_.w[lane] : 1.0f;
+    const auto side = [&](Vec slope, float scale, float start, float offset) {
+        const Vec x = hn::Mul(slope, hn::Set(d, w / scale));
+        return view_.perspective ? hn::Sub(x, hn::Set(d, (start - offset) / scale)) : x;
+    };
+    const Vec one = hn::Set(d, 1.0f);
+    const Vec x = side(slopeU, view_.scaleU, rays_.u[lane], view_.offsetU);
+    const Vec y = side(slopeV, view_.scaleV, rays_.v[lane], view_.offsetV);
+    const Vec per =
+        hn::Div(one, hn::Sqrt(hn::Add(hn::Add(hn::Mul(x, x), hn::Mul(y, y)), one)));
+    return {hn::Mul(x, per), hn::Mul(y, per), hn::Neg(per)};
+}
+
+/// Which rays pass the line no further from it than it is wide, where they are nearest to
+/// it.
+std::uint32_t HairWalk::meets(int lane, const CloseLine& line, bool joinedLeft,
+                              bool joinedRight, const Vec3& ray) const {
+    const Floats d;
+    const auto set = [d](float x) { return hn::Set(d, x); };
+    const Vec along = dot(broadcast(line.along), ray);
+    const Vec from = dot(broadcast(line.from), ray);
+    const Vec zero = hn::Zero(d), one = set(1.0f);
+    // Across the ray: |along|^2, and along times the way back to the receiver.
+    const Vec length2 = hn::Sub(set(line.along2), hn::Mul(along, along));
+    const Vec back = hn::Sub(hn::Mul(along, from), set(line.both));
+    const Vec at = hn::Div(back, length2);
+    const Vec t = hn::Max(zero, hn::Min(at, one));
+    const Vec half = hn::Add(set(line.half), hn::Mul(t, set(line.widen)));
+    // |from + t along|^2, and along the ray.
+    const Vec twice = hn::Add(set(2.0f * line.both), hn::Mul(t, set(line.along2)));
+    const Vec distance2 = hn::Add(set(line.from2), hn::Mul(t, twice));
+    const Vec way = hn::Add(from, hn::Mul(t, along));
+    const Vec off2 = hn::Sub(distance2, hn::Mul(way, way));
+    const float w = view_.perspective ? rays_.w[lane] : 1.0f;
+    const Vec rise = hn::Mul(hn::Neg(ray.z), hn::Mul(way, set(w * w)));
+    Mask hit = hn::Le(off2, hn::Mul(half, half));
+    hit = hn::And(hit, hn::Gt(way, hn::Mul(half, set(line.free))));
+    hit = hn::And(hit, hn::Gt(rise, set(least_[lane])));
+    hit = hn::And(hit, hn::Le(rise, set(rays_.rise[lane])));
+    if (!joinedLeft) hit = hn::And(hit, hn::Gt(at, zero));
+    if (!joinedRight) hit = hn::And(hit, hn::Lt(at, one));
+    return bitsOf(hit);
 }
 
 /// Segments from whose middle lines the receiver is no further than so many half widths,
@@ -424,9 +523,8 @@ std::uint32_t HairWalk::within(int lane, const Segments& segments, float halves)
     return found & segments.present;
 }
 
-/// Segments that the receiver's rays may meet. `leastOf` [segment]: how far above it each
-/// begins to count, w.
-std::uint32_t HairWalk::look(int lane, const Segments& segments, const float* leastOf,
+/// Segments that the receiver's rays may meet.
+std::uint32_t HairWalk::look(int lane, const Segments& segments,
                              SeenSegments& seen) const {
     const Floats d;
     const Vec zero = hn::Zero(d), one = hn::Set(d, 1.0f);
@@ -449,7 +547,7 @@ std::uint32_t HairWalk::look(int lane, const Segments& segments, const float* le
             const Mask never = hn::And(hn::Eq(change, zero), hn::Lt(insideA, zero));
             t1 = hn::IfThenElse(never, hn::Neg(one), t1);
         };
-        const Vec least = hn::Load(d, leastOf + i), rise = hn::Set(d, rays_.rise[lane]);
+        const Vec least = hn::Set(d, least_[lane]), rise = hn::Set(d, rays_.rise[lane]);
         keep(hn::Sub(a[2], least), hn::Sub(b[2], least));
         keep(hn::Sub(rise, a[2]), hn::Sub(rise, b[2]));
         if (rays_.hasPlanes) {

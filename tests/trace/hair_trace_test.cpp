@@ -363,6 +363,54 @@ TEST_CASE("the strand on which a receiver lies hides the light from a width on",
     CHECK(closed(3.0, 0.0) == 16);
 }
 
+TEST_CASE("close to the receiver joints are round, and are crossed once", "[trace]") {
+    const int steps = 80;
+    const double half = steps * double(kHalfStep);
+    const double w = std::round((32 + 2.5 * half) * 0x1p14) * 0x1p-14;
+    const glm::dvec3 joint(32.125, 24, w);
+    const Segment to = {{{31.5, 23.5, w}, joint}, {steps, steps}, 26214};
+    const Segment on = {{joint, {31.5, 24.5, w}}, {steps, steps}, 26214};
+    const ShadowMap map = mapOfSegments({to, on}, false);
+    Random random(3);
+    int hit = 0, passed = 0;
+    for (int i = 0; i < 20; ++i) {
+        test::Rays rays(1, 1);
+        rays.setStart(0, {32, 24, 32});
+        for (int lane = 0; lane < kLanes; ++lane) {
+            // To around the joint, and on.
+            const glm::dvec2 aside(32 * random.in(-1, 1), 24 * random.in(-1, 1));
+            const glm::dvec2 at = glm::dvec2(joint) + 1.3 * half * aside;
+            rays.setDelta(0, lane,
+                          glm::dvec3((at - glm::dvec2(32, 24)) / (w - 32), 1) * 16.0);
+        }
+        rays.bound();
+        rays.bundle.rise[0] = 12.0f;
+        test::Rays after = rays;
+        trace::RayDepths depths = noDepths();
+        trace::traceHair(map.nearHair(0), map.projection(0), {}, 1, after.bundle, depths);
+        for (int lane = 0; lane < kLanes; ++lane) {
+            const auto light = [](glm::dvec3 p) {  // from the receiver
+                return glm::dvec3((p.x - 32) / 32, (p.y - 24) / -24, 32 - p.z);
+            };
+            const glm::dvec3 ray =
+                glm::normalize(light(rays.start(0) + rays.delta(0, lane)));
+            const auto across = [&](glm::dvec3 p) { return p - glm::dot(p, ray) * ray; };
+            double off = HUGE_VAL;
+            for (const Segment& s : {to, on}) {
+                const glm::dvec3 a = across(light(s.end[0])), b = across(light(s.end[1]));
+                const double t = glm::dot(-a, b - a) / glm::dot(b - a, b - a);
+                off = std::min(off, glm::length(glm::mix(a, b, std::clamp(t, 0.0, 1.0))));
+            }
+            if (std::abs(off / half - 1) < 1e-3) continue;
+            (off < half ? hit : passed) += 1;
+            CHECK(depths.depth[0][0][lane] ==
+                  Approx(off < half ? -std::log1p(-26214.0 / 65535.0) : 0.0));
+        }
+    }
+    CHECK(hit > 100);
+    CHECK(passed > 20);
+}
+
 TEST_CASE("a strand level with the receiver hides nothing that it is beside", "[trace]") {
     // Four pixels away and hardly above it: its ribbon does not stand up like a wall.
     const Segment strand = {
