@@ -644,7 +644,7 @@ class Glance {
     };
 
     bool meets(const DensityPyramid& pyramid) {
-        const bool sheets = tree_.isOfSheets() && &pyramid == &tree_.translucent();
+        const bool sheets = tree_.isOfSheets();
         Node stack[kSize] = {{std::uint32_t(pyramid.levels.size()) - 1, 0, 0}};
         for (int waiting = 1, looks = 0; waiting > 0; ++looks) {
             const Node node = stack[--waiting];
@@ -660,7 +660,7 @@ class Glance {
                                  movedAt(texel.high))
                        : biasAt(texel.high);
             if (!isMet(node, texel, 1.01f * reach, most)) continue;
-            const float part = tree_.isOfSheets() ? 0.5f : 1.0f;
+            const float part = sheets ? 0.5f : 1.0f;
             if (node.level <= tree_.finest() || looks == kMostLooks ||
                 side <= 1.01f * part * hull_.spread * most)
                 return true;

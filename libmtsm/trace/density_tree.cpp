@@ -162,7 +162,7 @@ class PixelSlabs {
         return true;
     }
     [[nodiscard]] bool isSurface(const PixelLayers& pixel, std::uint32_t i) const {
-        return (sheets_ || !pixel.n || pixel.n[i] == 1) && isDark(pixel, i);
+        return !sheets_ && (!pixel.n || pixel.n[i] == 1) && isDark(pixel, i);
     }
 
     /// Way of the centre ray per unit of depth.
@@ -560,7 +560,8 @@ Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
     if (!indexable ||
         !makePyramid(map, face, tree.sheets_ ? Kind::sheets : Kind::media, present,
                      tree.translucent_) ||
-        !makePyramid(map, face, Kind::surfaces, present, tree.surfaces_))
+        (!tree.sheets_ &&
+         !makePyramid(map, face, Kind::surfaces, present, tree.surfaces_)))
         return base::makeError(
             ErrorCode::tooLarge, "face ", face,
             " has too many pixels or layers for a density tree: bake with a "

@@ -19,11 +19,11 @@
 // Sheets are never cut, and those that lie within some footprints of one another become
 // one at the mean of their depths.
 //
-// Surfaces are the layers that block: in a map of media those of one sample that are
-// dark, in one of sheets all that are dark. They have a pyramid of their own, because
-// they count from elsewhere along a ray of media, are met within the bias, and take the
-// same at any slant. At level 0 they block; above, a texel that they cover in part has
-// the depth -ln(1 - part).
+// Surfaces are the layers that block in a map of media: those of one sample that are
+// dark. They have a pyramid of their own, because they count from elsewhere along a ray,
+// are met within the bias, and take the same at any slant. At level 0 they block; above,
+// a texel that they cover in part has the depth -ln(1 - part). A dark sheet is a sheet
+// like others.
 //
 // Built in parallel in the caller's oneTBB arena, the same for any number of threads.
 #pragma once

@@ -11,6 +11,7 @@
 #endif
 
 #include <hwy/highway.h>
+#include <cmath>
 #include <cstdint>
 #include <cstring>
 
@@ -49,6 +50,14 @@ HWY_INLINE Vec reciprocal(Vec x) {
     guess = hn::Mul(guess, hn::NegMulAdd(x, guess, two));
 #endif
     return hn::Mul(guess, hn::NegMulAdd(x, guess, two));
+}
+
+/// How far above the plane of a receiver a corner may seem that lies on it, and has been
+/// rounded to a grid of these steps.
+inline float roundingAbove(const RayBundle& rays, int receiver, const float (&step)[3]) {
+    return 0.5f * (std::abs(rays.planeU[receiver]) * step[0] +
+                   std::abs(rays.planeV[receiver]) * step[1] +
+                   std::abs(rays.planeW[receiver]) * step[2]);
 }
 
 /// A point or a direction for each lane.

@@ -95,20 +95,21 @@ std::uint32_t overlapping(const NearBoxes& boxes, const Box& box) {
 struct Triangles {
     alignas(64) float corner[3][3][kTriangles];  // [corner][axis][triangle]
     alignas(64) float low[3][kTriangles], high[3][kTriangles];
+    const float (&step)[3];  ///< of the grid that the corners are rounded to
 
-    explicit Triangles(const NearChunk& chunk) {
+    explicit Triangles(const NearChunk& chunk) : step(chunk.step) {
         const Floats d;
         const hn::Rebind<std::int32_t, Floats> whole;
         const hn::Rebind<std::uint16_t, Floats> stored;
         for (int axis = 0; axis < 3; ++axis) {
             const Vec first = hn::Set(d, chunk.low[axis]);
-            const Vec step = hn::Set(d, chunk.step[axis]);
+            const Vec size = hn::Set(d, step[axis]);
             for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
                 Vec p[3];
                 for (int c = 0; c < 3; ++c) {
                     const auto q = hn::LoadU(stored, chunk.corner[c][axis] + t);
                     const Vec steps = hn::ConvertTo(d, hn::PromoteTo(whole, q));
-                    p[c] = hn::Add(first, hn::Mul(step, steps));
+                    p[c] = hn::Add(first, hn::Mul(size, steps));
                     hn::Store(p[c], d, corner[c][axis] + t);
                 }
                 hn::Store(hn::Min(hn::Min(p[0], p[1]), p[2]), d, low[axis] + t);
@@ -368,6 +369,8 @@ std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
                                       hn::Set(d, low_[axis][lane])));
         }
         if (rays_.hasPlanes) {
+            const float least =
+                std::max(height_, roundingAbove(rays_, lane, triangles.step));
             Vec highest = hn::Set(d, -kInfinity);
             for (const auto& corner : triangles.corner) {
                 Vec height = hn::Zero(d);
@@ -379,7 +382,7 @@ std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
                 }
                 highest = hn::Max(highest, height);
             }
-            may = hn::And(may, hn::Gt(highest, hn::Set(d, height_)));
+            may = hn::And(may, hn::Gt(highest, hn::Set(d, least)));
         }
         found |= bitsOf(may) << t;
     }

@@ -81,20 +81,21 @@ struct Pyramid {
 struct Triangles {
     alignas(64) float corner[3][3][kTriangles];  // [corner][axis][triangle]
     alignas(64) float low[3][kTriangles], high[3][kTriangles];
+    const float (&step)[3];  ///< of the grid that the corners are rounded to
 
-    explicit Triangles(const NearChunk& chunk) {
+    explicit Triangles(const NearChunk& chunk) : step(chunk.step) {
         const Floats d;
         const hn::Rebind<std::int32_t, Floats> whole;
         const hn::Rebind<std::uint16_t, Floats> stored;
         for (int axis = 0; axis < 3; ++axis) {
             const Vec first = hn::Set(d, chunk.low[axis]);
-            const Vec step = hn::Set(d, chunk.step[axis]);
+            const Vec size = hn::Set(d, step[axis]);
             for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
                 Vec p[3];
                 for (int c = 0; c < 3; ++c) {
                     const auto q = hn::LoadU(stored, chunk.corner[c][axis] + t);
                     const Vec steps = hn::ConvertTo(d, hn::PromoteTo(whole, q));
-                    p[c] = hn::Add(first, hn::Mul(step, steps));
+                    p[c] = hn::Add(first, hn::Mul(size, steps));
                     hn::Store(p[c], d, corner[c][axis] + t);
                 }
                 hn::Store(hn::Min(hn::Min(p[0], p[1]), p[2]), d, low[axis] + t);
@@ -456,12 +457,14 @@ std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
         if (!wide) may = pyramid.reaches(d, low, high);
         if (rays_.hasPlanes) {
             const Vec3 normal = {set(rays_.planeU), set(rays_.planeV), set(rays_.planeW)};
+            const float least =
+                std::max(options_.height, roundingAbove(rays_, lane, triangles.step));
             Vec highest = hn::Set(d, -kInfinity);
             for (const auto& corner : triangles.corner) {
                 const Vec3 p = Triangles::load(d, corner, t);
                 highest = hn::Max(highest, dot(normal, subtract(p, {u, v, w})));
             }
-            may = hn::And(may, hn::Gt(highest, hn::Set(d, options_.height)));
+            may = hn::And(may, hn::Gt(highest, hn::Set(d, least)));
         }
         found |= bitsOf(may) << t;
     }

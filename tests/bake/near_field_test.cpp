@@ -18,6 +18,7 @@
 #include "bake/near_chunks.h"
 #include "bake/near_triangles.h"
 #include "mtsm/bake.h"
+#include "mtsm/shadow.h"
 
 using namespace mtsm;
 using mtsm::test::Casters;
@@ -412,4 +413,42 @@ TEST_CASE("the Hilbert curve goes through every cell and only to neighbours", "[
             strides += std::abs(int(cells[i][axis]) - int(cells[i - 1][axis]));
     }
     CHECK(strides == int(cells.size()) - 1);
+}
+
+TEST_CASE("long triangles do not shadow what lies on them", "[bake][exact]") {
+    // A steep beam across the whole of a fine map: a grid of 16 bits has steps of 1/16 of
+    // a pixel there.
+    for (const bool opaque : {true, false}) {
+        BakeOptions o = lamp();
+        o.width = 4096;
+        o.height = 64;
+        o.light.shape = LightShape::sun;
+        o.light.direction = {0, -1, 0};
+        o.light.angularDiameter = glm::radians(3.0);
+        Mesh beam;
+        const double slope = 2.0;
+        const auto at = [&](double x, double z) {
+            return glm::vec3(x, slope * x + 0.3 * z, z);
+        };
+        constexpr int kStrips = 12;
+        for (int i = 0; i < kStrips; ++i) {
+            const double low = 0.04 * i / kStrips, high = 0.04 * (i + 1) / kStrips;
+            const double end = 1.0 - 0.013 * ((i * 7) % kStrips);
+            beam.quad(at(-1, high), at(end, high), at(end, low), at(-1, low));
+        }
+        if (!opaque) beam.opacity = 0.5f;
+        Casters casters(std::vector<Mesh>{beam});
+        const Baked baked = test::mustBake(casters, o);
+        REQUIRE((opaque ? !baked.map.nearField(0).empty()
+                        : !baked.map.nearSheets(0).empty()));
+        const glm::dvec3 normal = glm::normalize(glm::dvec3(-slope, 1, -0.3));
+        Random random(4);
+        int dark = 0;
+        for (int i = 0; i < 400; ++i) {
+            const glm::dvec3 point = at(random.in(-0.8, 0.8), random.in(0.004, 0.036));
+            dark += shadowFactor(baked.map, baked.map.info().light, point, normal) > 0.0f;
+        }
+        INFO("opaque " << opaque);
+        CHECK(dark == 0);
+    }
 }
