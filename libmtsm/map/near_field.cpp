@@ -64,8 +64,11 @@ void setBox(NearBoxes& boxes, std::size_t i, const NearChunk& chunk) {
     }
 }
 
-/// Of strands, as far as their ribbons may reach from their middle lines: half a width in
-/// any direction of the world.
+/// Half widths that a box reaches further than the middle lines in it.
+constexpr float kHairReach = 4.0f;
+
+/// Of strands, as far as their ribbons may reach from their middle lines, and what lies
+/// within two widths of them: in any direction of the world.
 void setBox(NearBoxes& boxes, std::size_t i, const NearHairChunk& chunk,
             const Projection& p) {
     const bool perspective = p.kind == ProjectionKind::perspective;
@@ -78,13 +81,14 @@ void setBox(NearBoxes& boxes, std::size_t i, const NearHairChunk& chunk,
             const float half = chunk.halfAt(e, segment);
             for (int axis = 0; axis < 3; ++axis) {
                 const float at = chunk.at(e, axis, segment);
-                float reach = 0.0f;
+                float reach = kHairReach * half;
                 if (axis < 2) {
                     const auto scale = float(std::abs(p.scale[axis]));
                     const float off = at - float(p.offset[axis]);
                     // x / z moves by half (1 + |x / z|) / (1 - half) at most.
-                    reach = perspective ? 2.0f * half * (scale + std::abs(off))
-                                        : half * scale;
+                    reach *= perspective ? scale + std::abs(off) : scale;
+                } else if (perspective) {
+                    reach *= at;
                 }
                 low[axis] = std::min(low[axis], at - reach);
                 high[axis] = std::max(high[axis], at + reach);

@@ -32,11 +32,12 @@ constexpr double kNearMost = 256.0;
 constexpr float kSmallPiece = 20.0f;  // samples
 /// Beside hair it answers until the light, from where the ray is, is so many pixels wide
 /// through the receiver; for at most and at least so many footprints of depth.
-constexpr double kHairWidth = 3.0;
+constexpr double kHairWidth = 8.0;
 constexpr double kHairMost = 256.0, kHairLeast = 2.0;
-/// Strands begin to count so many footprints above a receiver without a normal: its own
-/// strand is thinner.
-constexpr double kHairStart = 0.4;
+/// Strands begin to count so many footprints above a receiver without a normal.
+constexpr double kHairStart = 0.02;
+/// For those in hair texels may then be so much coarser; others see it from afar.
+constexpr float kHairSpread = 1.5f;
 
 /// The same beside sheets, which are few.
 constexpr double kSheetWidth = 8.0;
@@ -368,6 +369,10 @@ void BundleQuery::traceNear(const Face& face, Rays& rays) const noexcept {
         hair.darkDepth = densityOptions().darkDepth;
         trace::traceHair(face.nearHair, face.projection, hair, map_.info().channels,
                          bundle, rays.depths);
+        if (!bundle.hasPlanes) {
+            for (float& spread : bundle.spread)
+                spread *= kHairSpread;
+        }
     }
     for (int row = 0; row < rows; ++row)
         std::copy_n(rays.fates.layersBegin[row], trace::kLanes, bundle.begin[row]);
@@ -577,7 +582,7 @@ bool BundleQuery::isFree(const Face& face, const Outlook& starts) const noexcept
             trace::mayMeet(face.nearHair.levels, *hull, most) ||
             trace::mayMeet(face.nearSheets.triangles.levels, *hull, most))
             return false;
-        if (sheets) hull->spread *= float(kSheetSpread);
+        hull->spread *= sheets ? kSheetSpread : opaque_ ? 1.0f : kHairSpread;
         hull->wFirst += (1.0f - 0x1p-10f) * depth(sheets    ? kSheetLeast
                                                   : opaque_ ? kNearDepth
                                                             : kHairLeast,

@@ -4,8 +4,14 @@
 // from it, sixteen at once; and each that its light may shine through is tested against
 // sixteen rays at once.
 //
+// The receiver's own strand is told by its segments being joined end to end, because
+// they carry no ids. So those that are close to a receiver wait until all of them are
+// known: then those on which it lies are found, and what is joined to them.
+// These few are met ray by ray, as a ray tracer's curves are.
+//
 // What a ray meets does not depend on the rays beside it: which segments a receiver looks
-// at follows from its own box and slopes, and it meets them in the order of the file.
+// at follows from its own box and slopes, and it meets them in the order of the file,
+// those that waited last.
 //
 // Fused multiply-adds are not used where hits are decided, for they would make one
 // machine's answer another's rounding.
@@ -51,9 +57,9 @@ constexpr float kMargin = 0x1p-19f;
 /// depth on at least.
 constexpr float kLeastRise = 0x1p-12f;
 
-/// A receiver that is no further than this many half widths from a strand's middle line
-/// lies on it.
-constexpr float kWithin = 1.05f;
+// From a strand's middle line, in half widths: a receiver that is no further lies on it,
+// and one that is further does not meet it within a width.
+constexpr float kWithin = 1.05f, kClose = 4.0f;
 
 /// a + t (b - a)
 HWY_INLINE Vec between(Vec a, Vec b, Vec t) {
@@ -66,6 +72,7 @@ struct Segments {
     alignas(64) float half[2][kSegments];
     std::uint32_t present = 0;
 
+    Segments() {}
     explicit Segments(const NearHairChunk& chunk) {
         const Floats d;
         const hn::Rebind<std::int32_t, Floats> whole;
@@ -92,12 +99,59 @@ struct Segments {
 };
 
 /// Segments seen from a receiver: where a slope lies along each, 0 to 1 between its ends,
-/// and how far across, in a measure in which `wide` is known.
+/// and how far across, in world units over rise.
 struct SeenSegments {
     alignas(64) float firstU[kSegments], firstV[kSegments];
     alignas(64) float alongU[kSegments], alongV[kSegments];
     alignas(64) float acrossU[kSegments], acrossV[kSegments];
     alignas(64) float wide[kSegments], widen[kSegments];  // at 0, and how much more at 1
+};
+
+/// Segments that may be of a receiver's own strand.
+struct CloseSegments {
+    Segments segments;
+    int count = 0;
+    float depth[kSegments];
+    float step[kSegments][3];  ///< of the grids on which their ends lie
+
+    int left[kSegments];        ///< the one that ends where this one begins; -1: none
+    std::uint32_t joinedRight;  ///< those that have one where they end
+
+    /// Finds what is joined.
+    void join() {
+        joinedRight = 0;
+        for (int i = 0; i < count; ++i) {
+            left[i] = -1;
+            for (int j = 0; j < count && left[i] < 0; ++j) {
+                if (i == j || !follows(j, i)) continue;
+                left[i] = j;
+                joinedRight |= 1u << j;
+            }
+        }
+    }
+    /// Those of a set and what is joined to it.
+    [[nodiscard]] std::uint32_t strandOf(std::uint32_t set) const {
+        for (std::uint32_t before = 0; before != set;) {
+            before = set;
+            for (int i = 0; i < count; ++i) {
+                if (left[i] < 0) continue;
+                const std::uint32_t both = 1u << i | 1u << left[i];
+                if (set & both) set |= both;
+            }
+        }
+        return set;
+    }
+
+  private:
+    /// Does j begin where i ends?
+    [[nodiscard]] bool follows(int i, int j) const {
+        for (int axis = 0; axis < 3; ++axis) {
+            const float most = 0.51f * (step[i][axis] + step[j][axis]);
+            if (!(std::abs(segments.at[1][axis][i] - segments.at[0][axis][j]) <= most))
+                return false;
+        }
+        return true;
+    }
 };
 
 /// One call of traceHair().
@@ -116,19 +170,45 @@ class HairWalk {
 
     void run() {
         if (lanesLeft_ && !hair_.levels.empty()) node(hair_.levels.size() - 1, 0);
+        for (std::uint32_t rest = lanesLeft_; rest; rest &= rest - 1)
+            meetClose(std::countr_zero(rest));
     }
     /// Adds what was met.
     void settle(float darkDepth, std::uint32_t channels, RayDepths& depths);
 
   private:
+    /// A close segment's middle line in light space, from the receiver.
+    struct CloseLine {
+        float from[3], along[3];
+        float along2, both, from2;  ///< along . along, along . from, from . from
+        float half, widen;          ///< where it begins, and how much more where it ends
+        float free;                 ///< rays do not meet it for so many half widths
+    };
+
     void setUp(int receiver);
     void node(std::size_t level, std::size_t index);
     [[nodiscard]] std::uint32_t lanesAt(const NearBoxes& boxes, int i) const;
-    void chunk(const NearHairChunk& chunk, std::uint32_t lanes);
-    [[nodiscard]] Mask isOwn(int lane, const Vec (&a)[3], const Vec (&b)[3], Vec halfA,
-                             Vec halfB) const;
+    [[nodiscard]] bool isAround(const NearBoxes& boxes, int i, int lane) const;
+    void chunk(const NearHairChunk& chunk, std::uint32_t lanes, std::uint32_t around);
+    [[nodiscard]] std::uint32_t putAside(int lane, const NearHairChunk& chunk,
+                                         const Segments& segments);
+    [[nodiscard]] std::uint32_t within(int lane, const Segments& segments,
+                                       float halves) const;
+    void meetClose(int lane);
+    void toLight(int lane, const Segments& segments, int end, int i,
+                 float (&out)[3]) const;
+    [[nodiscard]] CloseLine lineOf(int lane, const Segments& segments, int i,
+                                   bool own) const;
+    [[nodiscard]] Vec3 direction(int lane, Vec slopeU, Vec slopeV) const;
+    [[nodiscard]] std::uint32_t meets(int lane, const CloseLine& line, bool joinedLeft,
+                                      bool joinedRight, const Vec3& ray) const;
     [[nodiscard]] std::uint32_t look(int lane, const Segments& segments,
                                      SeenSegments& seen) const;
+    struct Slope {
+        Vec u, v;
+    };
+    [[nodiscard]] Slope facing(int lane, const Vec (&first)[2], Vec eu, Vec ev) const;
+    void across(int lane, Slope ray, const Vec (&way)[3], Vec (&side)[2]) const;
     [[nodiscard]] float depthOf(std::uint16_t opacity);
     void cross(int lane, const SeenSegments& seen, int i, float depth);
 
@@ -148,6 +228,7 @@ class HairWalk {
     /// [row][lane], of receivers in lanesLeft_.
     alignas(64) float slopeU_[kMostRows][kLanes], slopeV_[kMostRows][kLanes];
     alignas(64) float met_[kMostRows][kLanes];
+    CloseSegments close_[kMostReceivers];
 };
 
 void HairWalk::setUp(int receiver) {
@@ -205,11 +286,26 @@ void HairWalk::node(std::size_t level, std::size_t index) {
         const std::uint32_t lanes = lanesAt(boxes, i) & lanesLeft_;
         if (lanes == 0) continue;
         const std::size_t child = NearBoxes::kChildren * index + std::size_t(i);
-        if (level > 0)
+        if (level > 0) {
             node(level - 1, child);
-        else
-            chunk(hair_.chunks[child], lanes);
+            continue;
+        }
+        std::uint32_t around = 0;
+        for (std::uint32_t rest = rays_.hasPlanes ? 0 : lanes; rest; rest &= rest - 1) {
+            if (isAround(boxes, i, std::countr_zero(rest))) around |= rest & -rest;
+        }
+        chunk(hair_.chunks[child], lanes, around);
     }
+}
+
+/// May a receiver lie on a strand of the box, or within a width of it?
+bool HairWalk::isAround(const NearBoxes& boxes, int i, int lane) const {
+    const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
+    for (int axis = 0; axis < 3; ++axis) {
+        if (!(start[axis] >= boxes.low[axis][i] && start[axis] <= boxes.high[axis][i]))
+            return false;
+    }
+    return true;
 }
 
 /// Receivers whose rays may meet something in the box.
@@ -229,53 +325,202 @@ std::uint32_t HairWalk::lanesAt(const NearBoxes& boxes, int i) const {
     return lanes;
 }
 
-void HairWalk::chunk(const NearHairChunk& chunk, std::uint32_t lanes) {
+/// `around`: lanes of receivers that may be close to some of it.
+void HairWalk::chunk(const NearHairChunk& chunk, std::uint32_t lanes,
+                     std::uint32_t around) {
     const Segments segments(chunk);
     SeenSegments seen;
     for (; lanes; lanes &= lanes - 1) {
         const int lane = std::countr_zero(lanes);
-        for (std::uint32_t found = look(lane, segments, seen); found;
-             found &= found - 1) {
+        std::uint32_t found = look(lane, segments, seen);
+        if (around >> lane & 1) found &= ~putAside(lane, chunk, segments);
+        for (; found; found &= found - 1) {
             const int i = std::countr_zero(found);
             cross(lane, seen, i, depthOf(chunk.opacity[i]));
         }
     }
 }
 
-/// Segments around whose middle lines the receiver lies no further than they are wide,
-/// in light space. `a` and `b`: their ends, from the receiver, `half` there. Where that
-/// is near, straight space is as good as linear.
-Mask HairWalk::isOwn(int lane, const Vec (&a)[3], const Vec (&b)[3], Vec halfA,
-                     Vec halfB) const {
+/// Segments that wait for meetClose(): those close to the receiver, while there is room.
+std::uint32_t HairWalk::putAside(int lane, const NearHairChunk& chunk,
+                                 const Segments& segments) {
+    CloseSegments& close = close_[lane];
+    std::uint32_t aside = 0;
+    for (std::uint32_t rest = within(lane, segments, kClose);
+         rest && close.count < kSegments; rest &= rest - 1) {
+        const int i = std::countr_zero(rest), to = close.count++;
+        for (int e = 0; e < 2; ++e) {
+            for (int axis = 0; axis < 3; ++axis)
+                close.segments.at[e][axis][to] = segments.at[e][axis][i];
+            close.segments.half[e][to] = segments.half[e][i];
+        }
+        std::copy_n(chunk.step, 3, close.step[to]);
+        close.depth[to] = depthOf(chunk.opacity[i]);
+        aside |= 1u << i;
+    }
+    return aside;
+}
+
+/// The receiver's rays and what is close to it: ribbons that face each ray, with round
+/// joints, of which a ray meets one [as Embree's flat linear curves]. Seen from so close,
+/// what faces one ray does not face another, and a joint may be all that a ray meets.
+void HairWalk::meetClose(int lane) {
+    CloseSegments& close = close_[lane];
+    if (close.count == 0) return;
+    Segments& segments = close.segments;
+    segments.present = (1u << close.count) - 1;
+    close.join();
+    const std::uint32_t own = close.strandOf(within(lane, segments, kWithin));
+    CloseLine lines[kSegments];
+    for (int i = 0; i < close.count; ++i)
+        lines[i] = lineOf(lane, segments, i, own >> i & 1);
+    const Floats d;
+    for (int group = 0; group < rays_.groups; ++group) {
+        const int row = rays_.row(lane, group);
+        for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
+            const Vec3 ray = direction(lane, hn::Load(d, slopeU_[row] + k),
+                                       hn::Load(d, slopeV_[row] + k));
+            std::uint32_t met[kSegments], any = 0;
+            for (int i = 0; i < close.count; ++i)
+                any |= met[i] = meets(lane, lines[i], close.left[i] >= 0,
+                                      close.joinedRight >> i & 1, ray);
+            for (int i = 0; any && i < close.count; ++i) {
+                const std::uint32_t before = close.left[i] >= 0 ? met[close.left[i]] : 0;
+                const Vec more = hn::IfThenElseZero(maskOf(met[i] & ~before),
+                                                    hn::Set(d, close.depth[i]));
+                hn::Store(hn::Add(hn::Load(d, met_[row] + k), more), d, met_[row] + k);
+            }
+        }
+    }
+}
+
+/// A place from the receiver, in light space; near it straight space is as good as
+/// linear.
+void HairWalk::toLight(int lane, const Segments& segments, int end, int i,
+                       float (&out)[3]) const {
+    const float z = view_.perspective ? 1.0f / rays_.w[lane] : 1.0f;
+    const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
+    const float scales[2] = {view_.scaleU, view_.scaleV};
+    const float offsets[2] = {view_.offsetU, view_.offsetV};
+    out[2] = (segments.at[end][2][i] - start[2]) * (view_.perspective ? -z * z : -1.0f);
+    for (int axis = 0; axis < 2; ++axis) {
+        out[axis] = (segments.at[end][axis][i] - start[axis]) * z / scales[axis];
+        if (view_.perspective)
+            out[axis] += out[2] * (start[axis] - offsets[axis]) / scales[axis];
+    }
+}
+
+HairWalk::CloseLine HairWalk::lineOf(int lane, const Segments& segments, int i,
+                                     bool own) const {
+    CloseLine line;
+    float end[3];
+    toLight(lane, segments, 0, i, line.from);
+    toLight(lane, segments, 1, i, end);
+    line.along2 = line.both = line.from2 = 0.0f;
+    for (int axis = 0; axis < 3; ++axis) {
+        line.along[axis] = end[axis] - line.from[axis];
+        line.along2 += line.along[axis] * line.along[axis];
+        line.both += line.along[axis] * line.from[axis];
+        line.from2 += line.from[axis] * line.from[axis];
+    }
+    const float z = view_.perspective ? 1.0f / rays_.w[lane] : 1.0f;
+    line.half = segments.half[0][i] * z;
+    line.widen = segments.half[1][i] * z - line.half;
+    line.free = own ? 2.0f : 0.0f;
+    return line;
+}
+
+/// Of rays with such slopes, in light space.
+Vec3 HairWalk::direction(int lane, Vec slopeU, Vec slopeV) const {
+    const Floats d;
+    const float w = view_.perspective ? rays_.w[lane] : 1.0f;
+    const auto side = [&](Vec slope, float scale, float start, float offset) {
+        const Vec x = hn::Mul(slope, hn::Set(d, w / scale));
+        return view_.perspective ? hn::Sub(x, hn::Set(d, (start - offset) / scale)) : x;
+    };
+    const Vec one = hn::Set(d, 1.0f);
+    const Vec x = side(slopeU, view_.scaleU, rays_.u[lane], view_.offsetU);
+    const Vec y = side(slopeV, view_.scaleV, rays_.v[lane], view_.offsetV);
+    const Vec per =
+        hn::Div(one, hn::Sqrt(hn::Add(hn::Add(hn::Mul(x, x), hn::Mul(y, y)), one)));
+    return {hn::Mul(x, per), hn::Mul(y, per), hn::Neg(per)};
+}
+
+/// Which rays pass the line no further from it than it is wide, where they are nearest to
+/// it.
+std::uint32_t HairWalk::meets(int lane, const CloseLine& line, bool joinedLeft,
+                              bool joinedRight, const Vec3& ray) const {
+    const Floats d;
+    const auto set = [d](float x) { return hn::Set(d, x); };
+    const Vec along = dot(broadcast(line.along), ray);
+    const Vec from = dot(broadcast(line.from), ray);
+    const Vec zero = hn::Zero(d), one = set(1.0f);
+    // Across the ray: |along|^2, and along times the way back to the receiver.
+    const Vec length2 = hn::Sub(set(line.along2), hn::Mul(along, along));
+    const Vec back = hn::Sub(hn::Mul(along, from), set(line.both));
+    const Vec at = hn::Div(back, length2);
+    const Vec t = hn::Max(zero, hn::Min(at, one));
+    const Vec half = hn::Add(set(line.half), hn::Mul(t, set(line.widen)));
+    // |from + t along|^2, and along the ray.
+    const Vec twice = hn::Add(set(2.0f * line.both), hn::Mul(t, set(line.along2)));
+    const Vec distance2 = hn::Add(set(line.from2), hn::Mul(t, twice));
+    const Vec way = hn::Add(from, hn::Mul(t, along));
+    const Vec off2 = hn::Sub(distance2, hn::Mul(way, way));
+    const float w = view_.perspective ? rays_.w[lane] : 1.0f;
+    const Vec rise = hn::Mul(hn::Neg(ray.z), hn::Mul(way, set(w * w)));
+    Mask hit = hn::Le(off2, hn::Mul(half, half));
+    hit = hn::And(hit, hn::Gt(way, hn::Mul(half, set(line.free))));
+    hit = hn::And(hit, hn::Gt(rise, set(least_[lane])));
+    hit = hn::And(hit, hn::Le(rise, set(rays_.rise[lane])));
+    if (!joinedLeft) hit = hn::And(hit, hn::Gt(at, zero));
+    if (!joinedRight) hit = hn::And(hit, hn::Lt(at, one));
+    return bitsOf(hit);
+}
+
+/// Segments from whose middle lines the receiver is no further than so many half widths,
+/// in light space. Where that is near, straight space is as good as linear.
+std::uint32_t HairWalk::within(int lane, const Segments& segments, float halves) const {
     const Floats d;
     const float z = view_.perspective ? 1.0f / rays_.w[lane] : 1.0f;
-    const auto light = [&](const Vec(&p)[3], Vec(&out)[3]) {
-        out[2] = hn::Mul(p[2], hn::Set(d, view_.perspective ? -z * z : -1.0f));
-        const float slopes[2] = {(rays_.u[lane] - view_.offsetU) / view_.scaleU,
-                                 (rays_.v[lane] - view_.offsetV) / view_.scaleV};
-        const float scales[2] = {view_.scaleU, view_.scaleV};
-        for (int axis = 0; axis < 2; ++axis) {
-            out[axis] = hn::Mul(p[axis], hn::Set(d, z / scales[axis]));
-            if (view_.perspective)
-                out[axis] = hn::Add(out[axis], hn::Mul(out[2], hn::Set(d, slopes[axis])));
-        }
-    };
+    const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
+    const float scales[2] = {view_.scaleU, view_.scaleV};
+    const float slopes[2] = {(start[0] - view_.offsetU) / view_.scaleU,
+                             (start[1] - view_.offsetV) / view_.scaleV};
     const auto dot = [](const Vec(&p)[3], const Vec(&q)[3]) {
         return hn::Add(hn::Add(hn::Mul(p[0], q[0]), hn::Mul(p[1], q[1])),
                        hn::Mul(p[2], q[2]));
     };
-    Vec from[3], to[3], way[3], off[3];
-    light(a, from);
-    light(b, to);
-    for (int axis = 0; axis < 3; ++axis)
-        way[axis] = hn::Sub(to[axis], from[axis]);
-    const Vec t =
-        hn::Min(hn::Max(hn::Neg(hn::Div(dot(from, way), dot(way, way))), hn::Zero(d)),
-                hn::Set(d, 1.0f));
-    for (int axis = 0; axis < 3; ++axis)
-        off[axis] = hn::Add(from[axis], hn::Mul(t, way[axis]));
-    const Vec within = hn::Mul(between(halfA, halfB, t), hn::Set(d, kWithin * z));
-    return hn::Le(dot(off, off), hn::Mul(within, within));
+    std::uint32_t found = 0;
+    for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
+        const auto light = [&](int e, Vec(&out)[3]) {
+            const auto from = [&](int axis) {
+                return hn::Sub(hn::Load(d, segments.at[e][axis] + i),
+                               hn::Set(d, start[axis]));
+            };
+            out[2] = hn::Mul(from(2), hn::Set(d, view_.perspective ? -z * z : -1.0f));
+            for (int axis = 0; axis < 2; ++axis) {
+                out[axis] = hn::Mul(from(axis), hn::Set(d, z / scales[axis]));
+                if (view_.perspective)
+                    out[axis] =
+                        hn::Add(out[axis], hn::Mul(out[2], hn::Set(d, slopes[axis])));
+            }
+        };
+        Vec from[3], to[3], way[3], off[3];
+        light(0, from);
+        light(1, to);
+        for (int axis = 0; axis < 3; ++axis)
+            way[axis] = hn::Sub(to[axis], from[axis]);
+        const Vec t =
+            hn::Min(hn::Max(hn::Neg(hn::Div(dot(from, way), dot(way, way))), hn::Zero(d)),
+                    hn::Set(d, 1.0f));
+        for (int axis = 0; axis < 3; ++axis)
+            off[axis] = hn::Add(from[axis], hn::Mul(t, way[axis]));
+        const Vec half = between(hn::Load(d, segments.half[0] + i),
+                                 hn::Load(d, segments.half[1] + i), t);
+        const Vec reach = hn::Mul(half, hn::Set(d, halves * z));
+        found |= bitsOf(hn::Le(dot(off, off), hn::Mul(reach, reach))) << i;
+    }
+    return found & segments.present;
 }
 
 /// Segments that the receiver's rays may meet.
@@ -332,49 +577,86 @@ std::uint32_t HairWalk::look(int lane, const Segments& segments,
         }
         const Vec eu = hn::Sub(slope[1][0], slope[0][0]);
         const Vec ev = hn::Sub(slope[1][1], slope[0][1]);
-        const Vec length2 = hn::Add(hn::Mul(eu, eu), hn::Mul(ev, ev));
-        const Vec per = hn::Div(one, length2);
-        // The plane through receiver and segment, (-ev, eu, c) in straight space: its
-        // normal in light space is as long as heights above it are multiplied by.
-        const Vec c = hn::Sub(hn::Mul(ev, slope[0][0]), hn::Mul(eu, slope[0][1]));
-        const Vec nx = hn::Mul(ev, hn::Set(d, view_.scaleU));
-        const Vec ny = hn::Mul(eu, hn::Set(d, view_.scaleV));
-        Vec nz = c;
-        if (view_.perspective) {
-            nz = hn::Mul(c, hn::Set(d, start[2]));
-            nz = hn::Sub(nz, hn::Mul(ev, hn::Set(d, start[0] - view_.offsetU)));
-            nz = hn::Add(nz, hn::Mul(eu, hn::Set(d, start[1] - view_.offsetV)));
-        }
-        const Vec size =
-            hn::Sqrt(hn::Add(hn::Add(hn::Mul(nx, nx), hn::Mul(ny, ny)), hn::Mul(nz, nz)));
-        const Vec wide[2] = {hn::Mul(size, half[0]), hn::Mul(size, half[1])};
-        const Vec widest = hn::Mul(hn::Max(wide[0], wide[1]), per);
-        const auto meets = [&](const float* low, const float* high, int axis,
-                               Vec across) {
-            const Vec reach = hn::Mul(widest, hn::Abs(across));
+        Vec side[2];
+        const Vec way[3] = {hn::Sub(b[0], a[0]), hn::Sub(b[1], a[1]),
+                            hn::Sub(b[2], a[2])};
+        across(lane, facing(lane, slope[0], eu, ev), way, side);
+        const Vec per = hn::Div(one, hn::Sub(hn::Mul(eu, side[1]), hn::Mul(ev, side[0])));
+        const Vec widest = hn::Max(half[0], half[1]);
+        const auto meets = [&](const float* low, const float* high, int axis) {
+            const Vec reach = hn::Mul(widest, hn::Abs(side[axis]));
             const Vec first = slope[0][axis], last = slope[1][axis];
             may = hn::And(may, hn::Le(hn::Sub(hn::Min(first, last), reach),
                                       hn::Set(d, high[lane])));
             may = hn::And(
                 may, hn::Ge(hn::Add(hn::Max(first, last), reach), hn::Set(d, low[lane])));
         };
-        meets(rays_.slopeLowU, rays_.slopeHighU, 0, ev);
-        meets(rays_.slopeLowV, rays_.slopeHighV, 1, eu);
-        if (!rays_.hasPlanes && !hn::AllFalse(d, may))
-            may = hn::AndNot(isOwn(lane, a, b, hn::Load(d, segments.half[0] + i),
-                                   hn::Load(d, segments.half[1] + i)),
-                             may);
+        meets(rays_.slopeLowU, rays_.slopeHighU, 0);
+        meets(rays_.slopeLowV, rays_.slopeHighV, 1);
         found |= bitsOf(may) << i;
         hn::Store(slope[0][0], d, seen.firstU + i);
         hn::Store(slope[0][1], d, seen.firstV + i);
-        hn::Store(hn::Mul(eu, per), d, seen.alongU + i);
-        hn::Store(hn::Mul(ev, per), d, seen.alongV + i);
-        hn::Store(hn::Neg(ev), d, seen.acrossU + i);
-        hn::Store(eu, d, seen.acrossV + i);
-        hn::Store(wide[0], d, seen.wide + i);
-        hn::Store(hn::Sub(wide[1], wide[0]), d, seen.widen + i);
+        hn::Store(hn::Mul(side[1], per), d, seen.alongU + i);
+        hn::Store(hn::Neg(hn::Mul(side[0], per)), d, seen.alongV + i);
+        hn::Store(hn::Neg(hn::Mul(ev, per)), d, seen.acrossU + i);
+        hn::Store(hn::Mul(eu, per), d, seen.acrossV + i);
+        hn::Store(half[0], d, seen.wide + i);
+        hn::Store(hn::Sub(half[1], half[0]), d, seen.widen + i);
     }
     return found & segments.present;
+}
+
+/// The slope of the ray that a ribbon faces: of those that the receiver has, the one
+/// nearest to where the middle line comes closest to the middle of its rays.
+HairWalk::Slope HairWalk::facing(int lane, const Vec (&first)[2], Vec eu, Vec ev) const {
+    const Floats d;
+    const float lowU = rays_.slopeLowU[lane], highU = rays_.slopeHighU[lane];
+    const float lowV = rays_.slopeLowV[lane], highV = rays_.slopeHighV[lane];
+    const Vec u = hn::Sub(hn::Set(d, 0.5f * (lowU + highU)), first[0]);
+    const Vec v = hn::Sub(hn::Set(d, 0.5f * (lowV + highV)), first[1]);
+    const Vec size = hn::Add(hn::Mul(eu, eu), hn::Mul(ev, ev));
+    const Vec at = hn::Div(hn::Add(hn::Mul(u, eu), hn::Mul(v, ev)), size);
+    const Vec t = hn::Max(hn::Zero(d), hn::Min(at, hn::Set(d, 1.0f)));
+    const auto clamp = [&](Vec x, float low, float high) {
+        return hn::Max(hn::Set(d, low), hn::Min(x, hn::Set(d, high)));
+    };
+    return {clamp(hn::Add(first[0], hn::Mul(t, eu)), lowU, highU),
+            clamp(hn::Add(first[1], hn::Mul(t, ev)), lowV, highV)};
+}
+
+/// Which way a ribbon along `way` that faces a ray reaches from its middle line, in
+/// slopes times rise: the unit normal of both in light space, moved along the ray to
+/// where it is level.
+void HairWalk::across(int lane, Slope ray, const Vec (&way)[3], Vec (&side)[2]) const {
+    const Floats d;
+    const float start[2] = {rays_.u[lane], rays_.v[lane]};
+    const float scales[2] = {view_.scaleU, view_.scaleV};
+    const float offsets[2] = {view_.offsetU, view_.offsetV};
+    const Vec w = hn::Set(d, view_.perspective ? rays_.w[lane] : 1.0f);
+    // In light space, but for a factor, as seen from the receiver.
+    const auto light = [&](const Vec(&p)[3], Vec(&out)[3]) {
+        out[2] = hn::Neg(p[2]);
+        for (int axis = 0; axis < 2; ++axis) {
+            out[axis] = hn::Mul(w, hn::Mul(p[axis], hn::Set(d, 1.0f / scales[axis])));
+            if (!view_.perspective) continue;
+            const float place = (start[axis] - offsets[axis]) / scales[axis];
+            out[axis] = hn::Sub(out[axis], hn::Mul(p[2], hn::Set(d, place)));
+        }
+    };
+    Vec r[3], e[3];
+    light({ray.u, ray.v, hn::Set(d, 1.0f)}, r);
+    light(way, e);
+    const Vec n[3] = {hn::Sub(hn::Mul(r[1], e[2]), hn::Mul(r[2], e[1])),
+                      hn::Sub(hn::Mul(r[2], e[0]), hn::Mul(r[0], e[2])),
+                      hn::Sub(hn::Mul(r[0], e[1]), hn::Mul(r[1], e[0]))};
+    const Vec size = hn::Sqrt(
+        hn::Add(hn::Add(hn::Mul(n[0], n[0]), hn::Mul(n[1], n[1])), hn::Mul(n[2], n[2])));
+    const Vec per = hn::Div(hn::Set(d, 1.0f), size);
+    for (int axis = 0; axis < 2; ++axis) {
+        // r[2] is -1: what n rises, the ray takes back.
+        const Vec level = hn::Add(n[axis], hn::Mul(n[2], r[axis]));
+        side[axis] = hn::Mul(hn::Mul(level, per), hn::Set(d, scales[axis]));
+    }
 }
 
 float HairWalk::depthOf(std::uint16_t opacity) {

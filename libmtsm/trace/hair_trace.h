@@ -4,10 +4,14 @@
 // All coordinates are those of straight space (mtsm/near_field.h). Seen from a receiver a
 // place is a slope: how many pixels it is away in u and v for each w that it lies above.
 // A ray is one slope, and a segment a strip from slope to slope, whose two ends are as
-// wide as half, over the height above the receiver, says: a metric length across the
-// plane through the receiver and the segment, so the ribbon faces the ray. What lies of a
-// segment below where strands begin to count, and beyond where the near field ends, is
-// cut away first; so a ray is answered by four half-planes, without its depth.
+// wide as half, over the height above the receiver, says: a metric length across a ray
+// and the segment, so the ribbon faces that ray. What lies of a segment below where
+// strands begin to count, and beyond where the near field ends, is cut away first; so a
+// ray is answered by four half-planes, without its depth. Ribbons end flat.
+//
+// Of receivers without a plane segments within two widths (up to 16) are met as they are
+// in light space, each ribbon facing each ray, with round joints, of which a ray pays for
+// one.
 #pragma once
 #include "mtsm/map.h"
 #include "trace/bundle.h"
@@ -19,8 +23,10 @@ struct HairTraceOptions {
     /// Receivers with a plane: what lies no higher than this above it does not count, in
     /// the bundle's measure.
     float height = 0.0f;
-    /// Others: what lies less than this above them, in pixel footprints, and segments on
-    /// which they lie: no further from their middle lines than half a width.
+    /// Others: what lies less than this above them, in pixel footprints; and of the
+    /// strand on which they lie, no further from its middle line than half a width, what
+    /// a ray meets within a width. A strand is told by its segments having ends in
+    /// common.
     float start = 0.0f;
     /// A ray that has met this much is not followed further.
     float darkDepth = kDarkDepth;

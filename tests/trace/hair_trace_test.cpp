@@ -206,6 +206,7 @@ Met meets(const Segment& segment, const Projection& view, const test::Rays& rays
             kHalfStep * glm::mix(double(segment.half[0]), double(segment.half[1]), t);
         return perspective ? half * p.z : half;
     };
+    bool own = false, mayBeOwn = false;
     const double half0 = worldHalf(t0, from), half1 = worldHalf(t1, to);
     const glm::dvec3 p = light(start), way = light(start + delta) - p;
     if (!rays.bundle.hasPlanes) {
@@ -215,21 +216,25 @@ Met meets(const Segment& segment, const Projection& view, const test::Rays& rays
         const glm::dvec3 nearest = ends[0] + t * whole;
         const double half = glm::mix(worldHalf(0.0, ends[0]), worldHalf(1.0, ends[1]), t);
         const double off = glm::distance(p, nearest) / half;
-        if (off < 0.95) return Met::no;  // its own
-        if (off < 1.15) return Met::close;
+        own = off < 1.15;
+        mayBeOwn = own != (off < 0.95);
     }
-    const glm::dvec3 across = glm::cross(from - p, to - p);
+    const glm::dvec3 across = glm::cross(way, to - from);
     const double length = glm::length(to - from), size = glm::length(across);
-    if (size < 1e-3 * length * glm::length(from - p)) return Met::close;  // end-on
+    if (size < 1e-3 * length * glm::length(way)) return Met::close;  // end-on
     // p + s way = from + t (to - from) + off n
     const glm::dvec3 n = across / size;
     const glm::dmat3 system(way, from - to, -n);
     const glm::dvec3 found = glm::inverse(system) * (from - p);
     const double half = glm::mix(half0, half1, found.y), off = std::abs(found.z);
+    const double widths = found.x * glm::length(way) / (2.0 * half);
     const double atEnds = 0.02 + (1.5 * off + 0.2 * std::max(half0, half1)) / length;
     const double inside = std::min(found.y, 1.0 - found.y);
     const double slack = 0.04 * std::max(half0, half1) + 1e-3;
     if (inside < -atEnds || off > half + slack) return Met::no;
+    // Its own strand counts from a width on, as the receiver's middle ray rises.
+    if (own && !mayBeOwn && widths < 0.3) return Met::no;
+    if (own && widths < 4.0) return Met::close;
     if (hardly || inside < atEnds || off > half - slack) return Met::close;
     return Met::yes;
 }
@@ -331,30 +336,95 @@ TEST_CASE("a strand of parallel light hides the part of the light that it covers
     }
 }
 
-TEST_CASE("the strand on which a receiver lies does not hide the light from it",
+TEST_CASE("the strand on which a receiver lies hides the light from a width on",
           "[trace]") {
-    // It leads straight to the light, a tenth of a pixel beside the receiver; and so does
-    // another, a pixel away, which hides a part of it.
-    const auto strand = [](double v) {
-        return Segment{{{32, v, 31}, {32, v + 0.25, 34}}, {20, 20}, 65535};
+    // It comes up beside the receiver, which lies on it, bends and goes across above.
+    const int steps = 80;
+    const double half = steps * double(kHalfStep);
+    const auto closed = [&](double above, double gap) {
+        const double v = 24 + std::round(0.9 * half * 24 * 256) / 256;
+        const double w = 32 + above * half;
+        const Segment up = {{{32, v, 31}, {32, v, w}}, {steps, steps}, 65535};
+        const Segment over = {{{32 + gap, v, w}, {32, 20, w}}, {steps, steps}, 65535};
+        const ShadowMap map = mapOfSegments({up, over}, false);
+        test::Rays rays(1, 1);
+        rays.setStart(0, {32, 24, 32});
+        for (int lane = 0; lane < kLanes; ++lane)
+            rays.setDelta(0, lane, {0, -0.125 * lane, 16.0});
+        rays.bound();
+        rays.bundle.rise[0] = 12.0f;
+        trace::RayDepths depths = noDepths();
+        trace::traceHair(map.nearHair(0), map.projection(0), {}, 1, rays.bundle, depths);
+        return 16 - std::popcount(rays.bundle.open[0]);
     };
-    const double half = 20 * double(kHalfStep) * 24;  // pixels
-    test::Rays rays(1, 1);
-    rays.setStart(0, {32, 24, 32});
-    for (int lane = 0; lane < kLanes; ++lane)
-        rays.setDelta(0, lane, {0, 0.5 * lane, 16.0});
-    rays.bound();
-    rays.bundle.rise[0] = 12.0f;
-    const auto closed = [&](double v) {
-        const ShadowMap map = mapOfSegments({strand(v)}, false);
+    CHECK(closed(1.5, 0.0) == 0);
+    CHECK(closed(1.5, 0.25) == 16);  // not its own: they are not joined
+    CHECK(closed(2.125, 0.0) == 16);
+    CHECK(closed(3.0, 0.0) == 16);
+}
+
+TEST_CASE("close to the receiver joints are round, and are crossed once", "[trace]") {
+    const int steps = 80;
+    const double half = steps * double(kHalfStep);
+    const double w = std::round((32 + 2.5 * half) * 0x1p14) * 0x1p-14;
+    const glm::dvec3 joint(32.125, 24, w);
+    const Segment to = {{{31.5, 23.5, w}, joint}, {steps, steps}, 26214};
+    const Segment on = {{joint, {31.5, 24.5, w}}, {steps, steps}, 26214};
+    const ShadowMap map = mapOfSegments({to, on}, false);
+    Random random(3);
+    int hit = 0, passed = 0;
+    for (int i = 0; i < 20; ++i) {
+        test::Rays rays(1, 1);
+        rays.setStart(0, {32, 24, 32});
+        for (int lane = 0; lane < kLanes; ++lane) {
+            // To around the joint, and on.
+            const glm::dvec2 aside(32 * random.in(-1, 1), 24 * random.in(-1, 1));
+            const glm::dvec2 at = glm::dvec2(joint) + 1.3 * half * aside;
+            rays.setDelta(0, lane,
+                          glm::dvec3((at - glm::dvec2(32, 24)) / (w - 32), 1) * 16.0);
+        }
+        rays.bound();
+        rays.bundle.rise[0] = 12.0f;
         test::Rays after = rays;
         trace::RayDepths depths = noDepths();
         trace::traceHair(map.nearHair(0), map.projection(0), {}, 1, after.bundle, depths);
-        return 16 - std::popcount(after.bundle.open[0]);
-    };
-    CHECK(half < 0.1);
-    CHECK(closed(23.95) == 0);
-    CHECK(closed(24.25) > 0);
+        for (int lane = 0; lane < kLanes; ++lane) {
+            const auto light = [](glm::dvec3 p) {  // from the receiver
+                return glm::dvec3((p.x - 32) / 32, (p.y - 24) / -24, 32 - p.z);
+            };
+            const glm::dvec3 ray =
+                glm::normalize(light(rays.start(0) + rays.delta(0, lane)));
+            const auto across = [&](glm::dvec3 p) { return p - glm::dot(p, ray) * ray; };
+            double off = HUGE_VAL;
+            for (const Segment& s : {to, on}) {
+                const glm::dvec3 a = across(light(s.end[0])), b = across(light(s.end[1]));
+                const double t = glm::dot(-a, b - a) / glm::dot(b - a, b - a);
+                off = std::min(off, glm::length(glm::mix(a, b, std::clamp(t, 0.0, 1.0))));
+            }
+            if (std::abs(off / half - 1) < 1e-3) continue;
+            (off < half ? hit : passed) += 1;
+            CHECK(depths.depth[0][0][lane] ==
+                  Approx(off < half ? -std::log1p(-26214.0 / 65535.0) : 0.0));
+        }
+    }
+    CHECK(hit > 100);
+    CHECK(passed > 20);
+}
+
+TEST_CASE("a strand level with the receiver hides nothing that it is beside", "[trace]") {
+    // Four pixels away and hardly above it: its ribbon does not stand up like a wall.
+    const Segment strand = {
+        {{28, 28, 32 + 0x1p-12}, {36, 28, 32 + 0x1p-11}}, {80, 80}, 65535};
+    const ShadowMap map = mapOfSegments({strand}, false);
+    test::Rays rays(1, 1);
+    rays.setStart(0, {32, 24, 32});
+    for (int lane = 0; lane < kLanes; ++lane)
+        rays.setDelta(0, lane, {0.5 * lane - 4, -2, 16.0});
+    rays.bound();
+    rays.bundle.rise[0] = 12.0f;
+    trace::RayDepths depths = noDepths();
+    trace::traceHair(map.nearHair(0), map.projection(0), {}, 1, rays.bundle, depths);
+    CHECK(std::popcount(rays.bundle.open[0]) == 16);
 }
 
 TEST_CASE("rays are closed where strands leave no light", "[trace]") {

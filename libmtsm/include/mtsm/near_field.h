@@ -87,8 +87,8 @@ struct NearField {
 /// All segments of strands of one face, likewise.
 struct NearHair {
     std::vector<NearHairChunk> chunks;
-    /// As NearField::levels. A chunk's box reaches around its ribbons, whichever way they
-    /// turn.
+    /// As NearField::levels. A chunk's box reaches a little more than a width around its
+    /// segments.
     std::vector<std::vector<NearBoxes>> levels;
 
     [[nodiscard]] bool empty() const noexcept { return chunks.empty(); }
