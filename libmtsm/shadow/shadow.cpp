@@ -292,7 +292,7 @@ void answerRays(const ShadowMap& map, const ShadowRay* rays, std::size_t count,
 /// What queries of the map go through, made if need be.
 bool hasTrees(const ShadowMap& map) {
     try {
-        return shadow::hasTrees(map, Attenuation::multiply);
+        return shadow::hasTrees(map, Attenuation::multiply, trace::DensityUse::receivers);
     } catch (const std::bad_alloc&) {
         return false;
     }
