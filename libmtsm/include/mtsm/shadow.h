@@ -136,7 +136,8 @@ void prepareQueries(const ShadowMap& map) noexcept;
 ///
 /// Shadow factors by `trace` stay the same to the last bit. Points that went ray by ray
 /// (above) go through the trees as well, without the near field, from where rays of
-/// receivers without a normal start. So do all rays of a caller's, and one that runs
+/// receivers without a normal start. So do all rays of a caller's (in maps with a near
+/// field of hair or sheets through texels of two pixels and more), and one that runs
 /// level to within 1/4096 of its depth is tilted to that. Everything else needs layers:
 /// checkQuery() refuses `scalar`, `pcf` and, but of opaque maps, Attenuation::subtract
 /// (unchecked they are answered as `trace` and multiply); writeMap() is an error, pixels
