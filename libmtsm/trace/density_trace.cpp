@@ -618,14 +618,14 @@ void Kernel::beginSums(int ray) {
 void Kernel::settle(RayDepths& depths) {
     const Floats d;
     for (std::uint32_t left = march_.met; left != 0; left &= left - 1) {
-        const int ray = std::countr_zero(left);
+        const int ray = std::countr_zero(left), place = march_.place[ray];
         bool dark = true;
         for (std::uint32_t c = 0; c < tree_.channels(); ++c) {
             const float media =
                 hn::GetLane(hn::SumOfLanes(d, hn::Load(d, march_.sum[c][ray])));
             const float surfaces =
                 hn::GetLane(hn::SumOfLanes(d, hn::Load(d, march_.surfaceSum[c][ray])));
-            float& depth = depths.depth[c][0][march_.place[ray]];
+            float& depth = depths.depth[c][place / kLanes][place % kLanes];
             depth += media * march_.stretch[ray] + surfaces;
             dark = dark && depth >= options_.darkDepth;
         }
