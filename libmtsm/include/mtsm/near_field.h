@@ -87,8 +87,7 @@ struct NearField {
 /// All segments of strands of one face, likewise.
 struct NearHair {
     std::vector<NearHairChunk> chunks;
-    /// As NearField::levels. A chunk's box reaches a little more than a width around its
-    /// segments.
+    /// As NearField::levels. A chunk's box reaches two widths around its segments.
     std::vector<std::vector<NearBoxes>> levels;
 
     [[nodiscard]] bool empty() const noexcept { return chunks.empty(); }
