@@ -21,6 +21,8 @@
 #include <string>
 #include <vector>
 
+#include "write_file.h"
+
 namespace {
 
 constexpr std::uint32_t kSegments = 16;  // per hair
@@ -193,7 +195,9 @@ int main(int argc, char** argv) {
                    "hairs is made, at 32 triangles each")
         ->check(CLI::Range(std::uint64_t(32), std::uint64_t(4'000'000'000)))
         ->capture_default_str();
-    app.add_option("-o,--output", output, "File to write")->capture_default_str();
+    app.add_option("-o,--output", output, "File to write, .hair")
+        ->check([](const std::string& path) { return checkEnding(path, {".hair"}); })
+        ->capture_default_str();
     app.add_option("--opacity", fur.opacity, "Part of the light that a hair stops")
         ->check(CLI::Range(0.0, 1.0))
         ->capture_default_str();

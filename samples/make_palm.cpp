@@ -196,6 +196,9 @@ int main(int argc, char** argv) {
         ->check(CLI::Range(std::uint64_t(4000), std::uint64_t(100'000'000)))
         ->capture_default_str();
     app.add_option("-o,--output", output, "File to write, .ply or .obj")
+        ->check([](const std::string& path) {
+            return checkEnding(path, {".ply", ".obj"});
+        })
         ->capture_default_str();
     app.footer(
         "Examples:\n  mtsm-make-palm\n  mtsm-make-palm -n 20000 -o small.obj\n\n"

@@ -1,6 +1,6 @@
 // shadow_at_point - the smallest program that uses a map: how dark is it at one point?
 //
-//     shadow_at_point MAP X Y Z
+//     shadow_at_point key.mtsm 0 0 0
 #include <cstdio>
 #include <cstdlib>
 
@@ -9,7 +9,13 @@
 
 int main(int argc, char** argv) {
     if (argc != 5) {
-        std::fprintf(stderr, "usage: shadow_at_point MAP X Y Z\n");
+        std::fprintf(
+            stderr,
+            "usage: shadow_at_point MAP X Y Z\n"
+            "Prints the shadow factor at a point of world space: 0 lit, 1 dark.\n"
+            "Example: shadow_at_point key.mtsm 0 0 0\n"
+            "Exit codes: 0 good, 2 usage, 3 input failed, 4 bad file, 5 "
+            "unsupported.\n");
         return 2;
     }
     const auto map = mtsm::readMap(argv[1]);

@@ -6,9 +6,25 @@
 #include <cstdio>
 #include <cstring>
 #include <filesystem>
+#include <initializer_list>
 #include <string>
 #include <string_view>
 #include <system_error>
+
+/// Empty, or what is wrong with the name of a file that is to be written and does not end
+/// as what it will hold. A pipe or a device may have any name.
+inline std::string checkEnding(const std::string& path,
+                               std::initializer_list<const char*> endings) {
+    namespace fs = std::filesystem;
+    std::error_code problem;
+    if (fs::exists(path, problem) && !fs::is_regular_file(path, problem)) return {};
+    std::string expected;
+    for (const char* ending : endings) {
+        if (fs::path(path).extension() == ending) return {};
+        expected += (expected.empty() ? "" : " or ") + std::string(ending);
+    }
+    return "found \"" + path + "\", expected a name that ends in " + expected;
+}
 
 /// Empty, or the reason why `path` could not be written; then what was there before still
 /// is. The bytes go to a file beside it that takes its name at the end; a pipe or a

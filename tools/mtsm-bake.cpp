@@ -62,7 +62,9 @@ constexpr const char* kExamples =
     "    mtsm-bake room.glb --projection cube --light-shape sphere --light-radius 0.05 "
     "\\\n"
     "              --light-position 0,2,0 --resolution 512 -o bulb.mtsm\n"
-    "  as small a map as a picture with a mean error of 0.002 needs:\n"
+    "  a map for pictures with a mean error of about 0.002, by what maps of such "
+    "casters\n"
+    "  were measured to have:\n"
     "    mtsm-bake dragon.ply --target-error 0.002 --light-radius 0.3 \\\n"
     "              --light-position 2,5,3 -o key.mtsm\n"
     "  a job file with settings for each caster, one of its settings overruled:\n"
@@ -505,9 +507,15 @@ const char* kindText(MapKind kind) {
     }
 }
 
-/// Puts what --quality or --target-error chooses in place of what was not given.
-void chooseSettings(const Arguments& a, const CLI::App& app, CasterSource& casters,
-                    Talk& talk, BakeOptions& bake) {
+bool keepsCasters(MapKind kind) {
+    return kind == MapKind::nearField || kind == MapKind::nearSheets ||
+           kind == MapKind::nearHair;
+}
+
+/// Puts what --quality or --target-error chooses in place of what was not given; what it
+/// would choose, were nothing given.
+MapSettings chooseSettings(const Arguments& a, const CLI::App& app, CasterSource& casters,
+                           Talk& talk, BakeOptions& bake) {
     const float error = *a.quality.meanError();
     MapForm form{bake.cube, bake.color};
     if (app.count("--near-field")) form.nearField = bake.nearField > 0;
@@ -526,21 +534,53 @@ void chooseSettings(const Arguments& a, const CLI::App& app, CasterSource& caste
     choose("--near-field",
            chosen.nearField ? std::to_string(chosen.nearField >> 20) + "M" : "none",
            [&] { bake.nearField = chosen.nearField; });
-    talk.say("for a mean error of " + errorText(error) + ", of " + kindText(chosen.kind) +
+    const bool leftOut = keepsCasters(chosen.kind) && bake.nearField == 0;
+    talk.say("for a mean error of " + errorText(error) + ", of " +
+             (leftOut ? "casters that --near-field none leaves to the layers alone"
+                      : kindText(chosen.kind)) +
              ": " + (text.empty() ? "nothing" : text));
+    return chosen;
+}
+
+/// What a map baked by such settings is expected to be off by. A map does not tell fog
+/// from hair, its casters do.
+float expectedError(const ShadowMap& map, const MapSettings& chosen) {
+    return chosen.kind == MapKind::volume && map.layerCount() > 0
+               ? mapError(chosen.kind, std::min(map.info().width, map.info().height))
+               : mapError(map);
+}
+
+/// What may bring the error down.
+std::string adviceFor(const CLI::App& app, const ShadowMap& map,
+                      const MapSettings& chosen) {
+    const MapKind kind = chosen.kind == MapKind::volume ? chosen.kind : kindOf(map);
+    const std::uint32_t pixels = std::min(map.info().width, map.info().height);
+    const char* const truth = "hold it against the truth with mtsm-compare";
+    if (app.count("--near-field") && keepsCasters(chosen.kind) && !keepsCasters(kind))
+        return std::string(
+                   "leave --near-field out, so that the casters are kept beside "
+                   "the layers, or ") +
+               truth;
+    if (pixels < kMaxResolution && mapError(kind, pixels) > mapError(kind, pixels + 1))
+        return "it may well be better, for this is what the worse maps of its kind have; "
+               "raise --resolution, or " +
+               std::string(truth);
+    return std::string("more pixels are not expected to help; ") + truth;
 }
 
 /// Says what the map is expected to come to, and if that is too much.
-void checkQuality(const Arguments& a, const Baked& baked, Talk& talk) {
-    const float asked = *a.quality.meanError(), expected = mapError(baked.map);
-    const std::string text = "the map is expected to be off by " + errorText(expected) +
+void checkQuality(const Arguments& a, const CLI::App& app, const Baked& baked,
+                  const MapSettings& chosen, Talk& talk) {
+    const float asked = *a.quality.meanError(),
+                expected = expectedError(baked.map, chosen);
+    const std::string text = "the map is expected to be off by about " +
+                             errorText(expected) +
                              " in the mean over a picture that it fills";
     if (expected <= asked)
         talk.say(text);
     else
         talk.warn(text + ", more than the " + errorText(asked) +
-                  " asked for: the casters may be too thin; raise --resolution, or hold "
-                  "it against the truth with mtsm-compare");
+                  " asked for: " + adviceFor(app, baked.map, chosen));
 }
 
 /// Those of the counts that are not zero, with commas between.
@@ -653,7 +693,8 @@ void say(Talk& talk, const Baked& baked, const Arguments& a, std::uint64_t fileB
 }
 
 nlohmann::ordered_json reportJson(const Baked& baked, const Arguments& a,
-                                  std::uint64_t fileBytes, Timing timing) {
+                                  const MapSettings& chosen, std::uint64_t fileBytes,
+                                  Timing timing) {
     const BakeReport& r = baked.report;
     const MapInfo& info = baked.map.info();
     nlohmann::ordered_json j;
@@ -678,7 +719,8 @@ nlohmann::ordered_json reportJson(const Baked& baked, const Arguments& a,
     j["toleranceReached"] = info.toleranceReached;
     j["pixelsOverTolerance"] = r.pixelsOverTolerance;
     if (const auto asked = a.quality.meanError())
-        j["quality"] = {{"targetError", *asked}, {"mapError", mapError(baked.map)}};
+        j["quality"] = {{"targetError", *asked},
+                        {"mapError", expectedError(baked.map, chosen)}};
     j["castersClipped"] = info.castersClipped;
     j["casters"] = {{"meshes", r.meshes},         {"triangles", r.triangles},
                     {"strands", r.strands},       {"segments", r.segments},
@@ -707,9 +749,10 @@ void run(const Arguments& a, const CLI::App& app, const Input& input, Talk& talk
     const auto start = Clock::now();
     BakeOptions options = checkedBakeOptions(a, app, input, talk);
     CasterFiles casters(input.casters, filesOptions(a, talk));
-    if (a.quality.meanError()) chooseSettings(a, app, casters, talk, options);
+    MapSettings chosen;
+    if (a.quality.meanError()) chosen = chooseSettings(a, app, casters, talk, options);
     const Baked baked = unwrap(bake(casters, options));
-    if (a.quality.meanError()) checkQuality(a, baked, talk);
+    if (a.quality.meanError()) checkQuality(a, app, baked, chosen, talk);
 
     WriteOptions write;
     write.codec = a.codec.value_or(0) == 0 ? Codec::zstd : Codec::none;
@@ -728,7 +771,7 @@ void run(const Arguments& a, const CLI::App& app, const Input& input, Talk& talk
     const auto size = std::filesystem::file_size(a.output, problem);
     const std::uint64_t fileBytes = problem ? 0 : size;
     say(talk, baked, a, fileBytes, timing);
-    if (a.json) print(jsonText(reportJson(baked, a, fileBytes, timing)));
+    if (a.json) print(jsonText(reportJson(baked, a, chosen, fileBytes, timing)));
 }
 
 void checkOutput(const Arguments& a, const Input& input) {

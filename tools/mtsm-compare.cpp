@@ -44,8 +44,10 @@ constexpr const char* kExamples =
     "  the same light at three sizes; what meets a mean error of 0.005 the cheapest:\n"
     "    mtsm-compare dragon.ply --light-radius 0.3 --light-position 2,5,3 \\\n"
     "                 --light-scales 0.3,1,3 --recommend error=0.005 -o out\n"
-    "  a scene file; only some of its methods; a smaller picture for a first look:\n"
-    "    mtsm-compare shot.toml --method mtsm --method embree --image 300x150 -o out\n"
+    "  a first look in seconds, not minutes: few methods, a small picture, a rough "
+    "truth:\n"
+    "    mtsm-compare shot.toml --method mtsm --method embree --image 300x150 \\\n"
+    "                 --truth 1024 -o out\n"
     "  what methods and settings there are:\n"
     "    mtsm-compare --list-methods\n"
     "\nA scene file is a job file of mtsm-bake (see there for [light], [map] and "
@@ -110,8 +112,9 @@ void addSceneOptions(CLI::App& app, Arguments& a) {
                    "volumes, which then stand on a floor")
         ->type_name("FILE")
         ->group("Files");
-    addText(app, "-o,--folder", a.folder, "OUT",
-            "the folder to write into; needed; made if it is not\nthere")
+    addText(
+        app, "-o,--folder", a.folder, "OUT",
+        "the folder to write into; needed; made if it is not\nthere, with those above it")
         ->group("Files");
     addText(app, "--cache", a.cache, "DIR",
             "where truths and runs are kept (default: OUT/cache)")
@@ -311,12 +314,15 @@ Input readInput(const Arguments& a, CLI::App& app, Talk& talk) {
 void makeFolder(const std::string& folder) {
     if (folder.empty())
         throw UsageError("-o: is required: the results need a folder, such as -o out");
-    std::error_code problem;
+    std::error_code problem, ignored;
     std::filesystem::create_directories(folder, problem);
     if (problem || !std::filesystem::is_directory(folder))
-        throw Failure{
-            {ErrorCode::io, folder + ": cannot make this folder: " +
-                                (problem ? problem.message() : "a file has that name")}};
+        throw Failure{{ErrorCode::io, folder + ": cannot make this folder: " +
+                                          (std::filesystem::exists(folder, ignored)
+                                               ? "a file has that name"
+                                               : problem.message()) +
+                                          "; results are a folder of files: give the "
+                                          "name of one, such as -o out"}};
     if (::access(folder.c_str(), W_OK | X_OK) != 0)
         throw Failure{{ErrorCode::io, folder + ": cannot write into this folder: " +
                                           std::strerror(errno)}};
@@ -348,7 +354,8 @@ void run(const Arguments& a, const Input& input, Talk& talk) {
             const auto* samples = std::get_if<double>(&s.second);
             return s.first == "samples" && samples && 4 * *samples > double(a.truth);
         });
-        if (!close || planned.method->name == "radiance") continue;
+        if (!close || planned.method->name == "radiance" || targetError(planned) > 0.0)
+            continue;
         talk.warn(
             planned.label + ": the truth has no more than " + std::to_string(a.truth) +
             " samples a point; its own noise is in the errors of what has a quarter "

@@ -10,6 +10,7 @@
 
 #include "common/arguments.h"
 #include "common/light_options.h"
+#include "common/passes.h"
 #include "common/quality_options.h"
 #include "common/tool.h"
 #include "mtsm/describe.h"
@@ -34,11 +35,16 @@ constexpr const char* kExamples =
     "Input files are CSV with a line of names: x,y,z[,nx,ny,nz] for points and\n"
     "ox,oy,oz,dx,dy,dz[,tmax] for rays; columns in any order, others ignored, lines with "
     "#\n"
-    "skipped. A ray's direction may have any length; tmax is a distance in world units, "
-    "none\n"
-    "or inf means without end. Points that are not finite are lit.\n"
+    "skipped. A ray's direction may have any length, and comes out as it was given; tmax "
+    "is\n"
+    "a distance in world units, none or inf means without end. Points that are not "
+    "finite\n"
+    "are lit.\n"
     "A position pass is an EXR with three float channels of world positions, called P,\n"
-    "Position, RenderLayer.Position and such. Pixels without a surface (alpha 0, or not\n"
+    "Position, RenderLayer.Position and such; a file of R, G, B alone is taken for one "
+    "with\n"
+    "a warning, and half floats are too coarse. Pixels without a surface (alpha 0, or "
+    "not\n"
     "finite) are lit.\n"
     "Output by extension: .exr (channels shadow and visibility), .png (8-bit grey), "
     ".csv;\n"
@@ -67,7 +73,8 @@ constexpr std::uint64_t kMostPixels = std::uint64_t(1) << 28;  // of --size
 constexpr std::size_t kSliceRays = std::size_t(1) << 20;       // between progress reports
 constexpr std::size_t kMostSlice = std::size_t(1) << 16;       // points at once
 constexpr std::size_t kFewValues = 10000;                      // that --json lists
-constexpr std::int64_t kFewestForErrors = 4;                   // samples
+constexpr std::uint64_t kQuicklyReady = 6'000'000;  // pixels and layers: about 2 s
+constexpr std::int64_t kFewestForErrors = 4;        // samples
 
 struct Arguments {
     std::string map;
@@ -309,16 +316,12 @@ Receivers pointReceivers(PointList list) {
     return r;
 }
 
-/// A layer of an EXR as messages have it.
-std::string layerText(const std::string& layer) {
-    return layer.empty() ? "the one unnamed layer" : "layer \"" + printable(layer) + "\"";
-}
-
-Receivers passReceivers(const Arguments& a) {
+Receivers passReceivers(const Arguments& a, Talk& talk) {
     PassOptions options;
     options.layer = a.positionLayer;
     auto pass =
         std::make_shared<const Pass>(unwrap(readPositionPass(a.positionFile, options)));
+    warnOfPositions(talk, *pass, a.positionFile);
     Receivers r;
     r.passes = true;
     r.positionLayer = pass->layer;
@@ -370,14 +373,14 @@ Receivers planeReceivers(const Arguments& a, const AreaLight& light) {
     return r;
 }
 
-Receivers receivers(const Arguments& a, Kind kind, const AreaLight& light) {
+Receivers receivers(const Arguments& a, Kind kind, const AreaLight& light, Talk& talk) {
     switch (kind) {
         case Kind::point:
             return pointReceivers({a.points, a.normals});
         case Kind::points:
             return pointReceivers(unwrap(readPoints(a.pointsFile)));
         case Kind::position:
-            return passReceivers(a);
+            return passReceivers(a, talk);
         default:
             return planeReceivers(a, light);
     }
@@ -531,6 +534,18 @@ PointList pointsToAsk(const Receivers& r) {
     return list;
 }
 
+/// What may bring the error down to what was asked for.
+const char* adviceFor(std::optional<float> bakedFor, const QueryPlan& plan, float asked) {
+    if (plan.mapError <= 0.5f * asked) return "raise --samples";
+    // A little more than the text that the map remembers may have been rounded to.
+    if (bakedFor && *bakedFor <= 1.0001f * asked)
+        return "the map was baked for it, and that is what the worse maps of its kind "
+               "have: it may well be better; hold it against the truth with "
+               "mtsm-compare, "
+               "or bake with a higher --resolution";
+    return "bake the map with the same --target-error, or finer";
+}
+
 /// Options for the mean error that was asked for, by a part of the points; says what they
 /// are.
 ShadowOptions plannedOptions(const Arguments& a, const CLI::App& app,
@@ -558,9 +573,7 @@ ShadowOptions plannedOptions(const Arguments& a, const CLI::App& app,
         talk.say(text);
     else
         talk.warn(text + ": more than was asked for; " +
-                  (plan.mapError > 0.5f * asked
-                       ? "bake the map with the same --target-error, or finer"
-                       : "raise --samples"));
+                  adviceFor(bakedFor(map.info().settings), plan, asked));
     return o;
 }
 
@@ -622,16 +635,20 @@ void writePointCsv(const Arguments& a, const Receivers& r, const Results& result
     writeTable(a, columns, r.count);
 }
 
+/// Directions as they were given, so that rows can be found again by them.
 void writeRayCsv(const Arguments& a, const std::vector<ShadowRay>& rays,
-                 const Results& results) {
+                 const std::vector<glm::dvec3>& directions, const Results& results) {
     static_assert(sizeof(ShadowRay) == 7 * sizeof(double));
     const ShadowRay none;
     const ShadowRay* first = rays.empty() ? &none : rays.data();
-    std::vector<CsvColumn> columns{
-        {"ox", &first->origin.x, 7},    {"oy", &first->origin.y, 7},
-        {"oz", &first->origin.z, 7},    {"dx", &first->direction.x, 7},
-        {"dy", &first->direction.y, 7}, {"dz", &first->direction.z, 7},
-        {"tmax", &first->length, 7}};
+    const glm::dvec3* d = rays.empty() ? &none.direction : directions.data();
+    std::vector<CsvColumn> columns{{"ox", &first->origin.x, 7},
+                                   {"oy", &first->origin.y, 7},
+                                   {"oz", &first->origin.z, 7},
+                                   {"dx", &d->x, 3},
+                                   {"dy", &d->y, 3},
+                                   {"dz", &d->z, 3},
+                                   {"tmax", &first->length, 7}};
     for (CsvColumn& c : resultColumns(a, results, false))
         columns.push_back(std::move(c));
     writeTable(a, columns, rays.size());
@@ -712,7 +729,7 @@ nlohmann::ordered_json valuesJson(const Arguments& a, const Results& results) {
     return values;
 }
 
-void sayStats(const Arguments& a, const Receivers& r, const Results& results,
+void sayStats(const Arguments& a, Kind kind, const Receivers& r, const Results& results,
               Talk& talk) {
     const QueryStats& s = results.stats;
     if (a.stats) {
@@ -720,14 +737,16 @@ void sayStats(const Arguments& a, const Receivers& r, const Results& results,
             talk.answer("positions from " + layerText(r.positionLayer) +
                         (r.normalPass ? ", normals from " + layerText(r.normalLayer)
                                       : std::string()));
-        talk.answer(
-            counted(s.points, "point", "points") + ", " + counted(s.rays, "ray", "rays") +
-            ", " + secondsText(results.seconds) + ", " +
+        const std::string rays =
+            counted(s.rays, "ray", "rays") + ", " + secondsText(results.seconds) + ", " +
             countText(std::uint64_t(double(s.rays) / std::max(results.seconds, 1e-9))) +
-            " rays per second; " + secondsText(results.prepareSeconds) +
-            " before, to make the map ready" +
-            (results.memoryBytes ? "; it takes " + bytesText(*results.memoryBytes)
-                                 : std::string()));
+            " rays per second";
+        if (kind == Kind::rays) return talk.answer(rays);
+        talk.answer(counted(s.points, "point", "points") + ", " + rays + "; " +
+                    secondsText(results.prepareSeconds) +
+                    " before, to make the map ready" +
+                    (results.memoryBytes ? "; it takes " + bytesText(*results.memoryBytes)
+                                         : std::string()));
         if (results.sampleError && results.mapError)
             talk.answer("expected mean error: " + errorText(*results.sampleError) +
                         " of the samples, about " + errorText(*results.mapError) +
@@ -748,7 +767,7 @@ void sayStats(const Arguments& a, const Receivers& r, const Results& results,
 
 void report(const Arguments& a, Kind kind, const Receivers& r, const Results& results,
             Talk& talk) {
-    sayStats(a, r, results, talk);
+    sayStats(a, kind, r, results, talk);
     if (!a.json) return;
     auto j = statsJson(a, r, results);
     if (!isPicture(kind) && results.shadow.front().size() <= kFewValues)
@@ -774,22 +793,41 @@ void runRays(const Arguments& a, const ShadowMap& map, Talk& talk) {
     if (a.bias) options.bias = float(*a.bias);
     if (a.threshold) options.threshold = float(*a.threshold);
     options.attenuation = attenuation(a);
-    const std::vector<ShadowRay> rays = unwrap(readRays(a.raysFile));
+    std::vector<glm::dvec3> directions;
+    const std::vector<ShadowRay> rays = unwrap(readRays(a.raysFile, &directions));
     const auto still = std::count_if(rays.begin(), rays.end(), [](const ShadowRay& ray) {
         return !isDirection(ray.direction);
     });
     if (still > 0)
         talk.warn(counted(std::uint64_t(still), "ray has", "rays have") +
                   " no direction: nothing is in their way");
+    const auto backward = std::count_if(
+        rays.begin(), rays.end(), [](const auto& ray) { return !(ray.length >= 0.0); });
+    if (backward > 0)
+        talk.warn(counted(std::uint64_t(backward), "ray has", "rays have") +
+                  " a tmax below 0, or that is no number: nothing is in their way");
     refuseLongJson(a, rays.size());
     const Results results = queryRays(map, rays, options, talk);
-    if (!a.json || !a.output.empty()) writeRayCsv(a, rays, results);
+    if (!a.json || !a.output.empty()) writeRayCsv(a, rays, directions, results);
     report(a, Kind::rays, {}, results, talk);
 }
 
-/// Of the map only what queries with these options go through.
-void makeReady(const ShadowOptions& options, ShadowMap& map) {
+bool anySurface(const Receivers& r) {
+    for (std::size_t i = 0; i < r.count; ++i)
+        if (!r.surface || r.surface(i)) return true;
+    return false;
+}
+
+/// Of the map only what queries with these options go through. Says that it may take more
+/// than a second or two before it does.
+void makeReady(const ShadowOptions& options, ShadowMap& map, Talk& talk) {
     if (options.method != ShadowMethod::trace) return;
+    const MapInfo& info = map.info();
+    const std::uint64_t pixels =
+        std::uint64_t(info.width) * info.height * map.faceCount();
+    if (pixels + map.layerCount() > kQuicklyReady)
+        talk.say("making the map ready for queries (" +
+                 counted(map.layerCount(), "layer", "layers") + ") ...");
     prepareQueries(map);
     // A map that cannot do without its layers keeps them.
     if (options.attenuation == Attenuation::multiply) (void)releaseLayers(map);
@@ -812,13 +850,13 @@ void runPoints(const Arguments& a, const CLI::App& app, Kind kind, ShadowMap& ma
     options.attenuation = attenuation(a);
     unwrap(checkQuery(map, light, options));
 
-    const Receivers r = receivers(a, kind, light);
+    const Receivers r = receivers(a, kind, light, talk);
     if (options.weight == Weight::cosine && !r.normal)
         throw UsageError(
             "--weight: cosine needs the receiver's normals: columns nx,ny,nz");
     refuseLongJson(a, isPicture(kind) ? 0 : r.count);
     const auto start = std::chrono::steady_clock::now();
-    makeReady(options, map);
+    if (anySurface(r)) makeReady(options, map, talk);
     if (a.quality.meanError())
         options = plannedOptions(a, app, map, light, options, r, talk);
     const double prepareSeconds = since(start);

@@ -135,7 +135,7 @@ Status checkOutside(const Face& face, MapInfo& info, BakeReport& report) {
 Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
     if (auto s = bake_detail::checkOptions(options); !s) return s.error();
     const std::uint64_t fixed = fixedBytes(options) * (options.cube ? 6 : 1);
-    if (fixed > options.maxBytes) return tooLarge(options);
+    if (fixed > options.maxBytes) return tooLarge(options, fixed);
 
     const Progress progress(options);
     Visits visits(casters, progress);

@@ -45,10 +45,13 @@ double WorkClock::now() const {
            visits_.readSeconds();
 }
 
-Error tooLarge(const BakeOptions& o) {
+Error tooLarge(const BakeOptions& o, std::uint64_t least) {
+    const std::string needs =
+        least > 0 ? base::concat("needs at least ", least, " bytes, more than the ")
+                  : std::string("needs more than the ");
     return base::makeError(
         ErrorCode::tooLarge, "a map of ", o.width, " x ", o.height,
-        " pixels of these casters needs more than the ", o.maxBytes,
+        " pixels of these casters ", needs, o.maxBytes,
         " bytes of --max-memory: raise it, or lower --resolution or --layers, or raise ",
         "--tolerance");
 }

@@ -68,7 +68,8 @@ Result<Face> bakeNearest(Visits& visits, const Projection& projection,
 Result<Face> bakeSamples(Visits& visits, const Projection& projection,
                          const FaceSettings& settings);
 
-[[nodiscard]] Error tooLarge(const BakeOptions& options);
+/// `least`: bytes that are needed, if that is known.
+[[nodiscard]] Error tooLarge(const BakeOptions& options, std::uint64_t least = 0);
 [[nodiscard]] raster::Facing facing(Cull cull);
 /// Bytes that a tile takes in a map.
 [[nodiscard]] std::uint64_t bytesOf(const Tile& tile);

@@ -17,6 +17,8 @@ namespace {
 namespace fs = std::filesystem;
 constexpr int kMostLinks = 40;          // as Linux follows before it says ELOOP
 constexpr int kMostTemporaries = 1000;  // left over from processes that were killed
+constexpr const char* kNoTemporary =
+    "cannot make a temporary file in its folder; write into another one";
 
 /// Follows symbolic links by hand, since the last one may point to what is not there yet.
 fs::path followLinks(fs::path path, std::error_code& error) {
@@ -72,10 +74,9 @@ Status FileOutput::openTemporary(bool exists, mode_t mode) {
             temporary_ = std::move(name);
             break;
         }
-        if (errno != EEXIST)
-            return failed("cannot make a temporary file in its folder", errno);
+        if (errno != EEXIST) return failed(kNoTemporary, errno);
     }
-    if (fd_ < 0) return failed("cannot make a temporary file in its folder", EEXIST);
+    if (fd_ < 0) return failed(kNoTemporary, EEXIST);
     return exists ? setMode(mode) : Status();
 }
 

@@ -42,6 +42,12 @@ struct Receivers {
     std::size_t pixels = 0;
 };
 
+/// What a method chose where its settings leave that to it.
+struct Choice {
+    std::string text;       ///< "resolution 1024, 16 to 256 samples"; empty: nothing
+    double expected = 0.0;  ///< the mean error that it expects of it
+};
+
 class Method {
   public:
     virtual ~Method() = default;
@@ -54,6 +60,13 @@ class Method {
     /// may differ in those for queries from what the method was built with.
     virtual Status shadowFactors(const AreaLight& light, const Receivers& at,
                                  const Settings& settings, float* out) const = 0;
+
+    /// For the same question.
+    [[nodiscard]] virtual Choice choice(const AreaLight& /*light*/,
+                                        const Receivers& /*at*/,
+                                        const Settings& /*settings*/) const {
+        return {};
+    }
 };
 
 /// A flat piece of a receiver: corner + u * edgeX + v * edgeY for u and v in [0, 1]. Its

@@ -1,4 +1,7 @@
 // The map itself as a row of the comparison: baked, then traced or filtered.
+#include <optional>
+
+#include "base/message.h"
 #include "baseline/depth_map.h"
 #include "baseline/methods.h"
 #include "mtsm/quality.h"
@@ -23,6 +26,29 @@ class MtsmMethod final : public Method {
     }
     Status shadowFactors(const AreaLight& light, const Receivers& at,
                          const Settings& settings, float* out) const override {
+        ShadowOptions options = optionsOf(settings);
+        if (const auto plan = planned(light, at, settings)) options = plan->options;
+        if (Status fine = checkQuery(map_, light, options); !fine) return fine;
+        // Where the ray tracer's rays start: beside a strand a tenth of its width
+        // matters.
+        mtsm::shadowFactors(map_, light, at.starts ? at.starts : at.points, at.normals,
+                            at.count, out, options);
+        return {};
+    }
+    [[nodiscard]] Choice choice(const AreaLight& light, const Receivers& at,
+                                const Settings& settings) const override {
+        const auto plan = planned(light, at, settings);
+        if (!plan) return {};
+        const ShadowOptions& o = plan->options;
+        std::string text = base::concat("resolution ", map_.info().width, ", ");
+        if (o.targetError > 0.0f && o.samples > o.firstSamples)
+            text += base::concat(o.firstSamples, " to ");
+        return {base::concat(text, o.samples, " samples"),
+                double(plan->mapError) + double(plan->sampleError)};
+    }
+
+  private:
+    static ShadowOptions optionsOf(const Settings& settings) {
         ShadowOptions options;
         options.samples = settings.whole("samples");
         options.bias = float(settings.number("query-bias"));
@@ -34,21 +60,19 @@ class MtsmMethod final : public Method {
         options.attenuation = settings.word("attenuation") == "subtract"
                                   ? Attenuation::subtract
                                   : Attenuation::multiply;
-        if (const auto error = float(settings.number("target-error")); error > 0.0f) {
-            options.samples = kMaxSamples;
-            options =
-                planQueries(map_, light, at.points, at.normals, at.count, error, options)
-                    .options;
-        }
-        if (Status fine = checkQuery(map_, light, options); !fine) return fine;
-        // Where the ray tracer's rays start: beside a strand a tenth of its width
-        // matters.
-        mtsm::shadowFactors(map_, light, at.starts ? at.starts : at.points, at.normals,
-                            at.count, out, options);
-        return {};
+        return options;
+    }
+    /// How target-error is met; nothing where none is asked for.
+    [[nodiscard]] std::optional<QueryPlan> planned(const AreaLight& light,
+                                                   const Receivers& at,
+                                                   const Settings& settings) const {
+        const auto error = float(settings.number("target-error"));
+        if (!(error > 0.0f)) return std::nullopt;
+        ShadowOptions options = optionsOf(settings);
+        options.samples = kMaxSamples;
+        return planQueries(map_, light, at.points, at.normals, at.count, error, options);
     }
 
-  private:
     ShadowMap map_;
     std::uint64_t memoryBytes_ = 0;
 };

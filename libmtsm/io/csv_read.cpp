@@ -305,7 +305,8 @@ Result<PointList> readPoints(const std::string& path) {
     return list;
 }
 
-Result<std::vector<ShadowRay>> readRays(const std::string& path) {
+Result<std::vector<ShadowRay>> readRays(const std::string& path,
+                                        std::vector<glm::dvec3>* directions) {
     constexpr double kEndless = std::numeric_limits<double>::infinity();
     std::vector<ShadowRay> rays;
     try {
@@ -323,6 +324,7 @@ Result<std::vector<ShadowRay>> readRays(const std::string& path) {
                                    ShadowRay ray;
                                    ray.origin = {v[0], v[1], v[2]};
                                    ray.direction = {v[3], v[4], v[5]};
+                                   if (directions) directions->push_back(ray.direction);
                                    const double length = std::hypot(v[3], v[4], v[5]);
                                    if (length > 0.0) ray.direction /= length;
                                    ray.length = v[6];

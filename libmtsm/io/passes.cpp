@@ -30,6 +30,7 @@ struct Layer {
     std::string partName;  // "" if it has none
     std::string prefix;    // of the channels' names, without the dot; "" for bare ones
     std::array<std::string, 3> channels;
+    bool half = false;  // one of them is
 
     /// What a user would call it.
     [[nodiscard]] std::string path() const { return prefix.empty() ? partName : prefix; }
@@ -125,10 +126,13 @@ std::vector<Layer> findLayers(const Imf::MultiPartInputFile& file) {
                 if (!isOneOf(t[0], names) || !isOneOf(t[1], names) ||
                     !isOneOf(t[2], names))
                     continue;
-                layers.push_back({part,
-                                  partName(header),
-                                  prefix,
-                                  {dotted + t[0], dotted + t[1], dotted + t[2]}});
+                Layer layer{part,
+                            partName(header),
+                            prefix,
+                            {dotted + t[0], dotted + t[1], dotted + t[2]}};
+                for (const std::string& name : layer.channels)
+                    layer.half |= channels[name].type == Imf::HALF;
+                layers.push_back(std::move(layer));
                 break;
             }
         }
@@ -293,8 +297,12 @@ bool isFinite(glm::vec3 p) {
 
 /// The layer's values and the mask of where there is a surface.
 Result<Pass> readLayer(Imf::MultiPartInputFile& file, const Layer& layer,
-                       const PassOptions& options, const std::string& path) {
+                       const PassOptions& options, const Wanted& wanted,
+                       const std::string& path) {
     Pass pass;
+    pass.guessed = options.layer.empty() && lastWord(layer.channels[0]) == "r" &&
+                   !isOneOf(lastWord(layer.path()), wanted.words);
+    pass.half = layer.half;
     pass.layer = file.parts() > 1 && !layer.prefix.empty()
                      ? layer.partName + ":" + layer.prefix
                      : layer.path();
@@ -345,7 +353,7 @@ Result<Pass> readPass(const std::string& path, const PassOptions& options,
         Imf::MultiPartInputFile file(**stream, 0, false);
         auto layer = chooseLayer(file, options.layer, wanted, path);
         if (!layer) return layer.error();
-        return readLayer(file, *layer, options, path);
+        return readLayer(file, *layer, options, wanted, path);
     });
 }
 

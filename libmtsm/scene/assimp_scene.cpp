@@ -54,7 +54,9 @@ AssimpScene::AssimpScene(const std::string& path, FrameWriter& out) {
     importer_.SetPropertyBool(AI_CONFIG_IMPORT_COLLADA_USE_COLLADA_NAMES, true);
     const aiScene* scene = importer_.ReadFile(path, 0);
     if (!scene) {
-        const std::string_view reason = importer_.GetErrorString();
+        std::string_view reason = importer_.GetErrorString();
+        while (reason.ends_with('.') || reason.ends_with('\n'))
+            reason.remove_suffix(1);
         if (reason.starts_with("No suitable reader found")) {
             const std::string extension =
                 std::filesystem::path(path).extension().string();
@@ -66,8 +68,9 @@ AssimpScene::AssimpScene(const std::string& path, FrameWriter& out) {
                     known ? ": does not hold what its name says: no reader knows its "
                             "content; "
                           : ": is no mesh file of a kind that can be read; ",
-                    "those are PLY, OBJ, glTF, GLB, FBX, COLLADA, STL and "
-                    "what else Assimp reads"));
+                    "meshes are PLY, OBJ, glTF, GLB, FBX, COLLADA, STL and what else "
+                    "Assimp reads, hair is .hair or .tfx, fog volumes are "
+                    "OpenVDB's .vdb: convert it to one of those"));
             return;
         }
         const bool old = reason.find("unsupported") != std::string_view::npos;
@@ -76,7 +79,8 @@ AssimpScene::AssimpScene(const std::string& path, FrameWriter& out) {
             base::concat(path, ": ",
                          reason.starts_with("std::")
                              ? "a size that the file states is impossible; repair it"
-                             : reason));
+                             : base::concat("the importer says: ", reason,
+                                            "; re-export or repair the file")));
         return;
     }
     if (log->facesDropped) {

@@ -300,6 +300,32 @@ class Recommended(Compare):
         self.assertFalse(os.path.exists("out"))
 
 
+class Chosen(Compare):
+    def test_rows_that_choose_say_what_and_whether_it_was_enough(self):
+        job(more=FLOOR + '[[method]]\nname = "mtsm"\ntarget-error = [0.1, 0.0004]\n')
+        done = self.good(self.of_job("--light-scales", "1", "--no-pictures", "--truth", 256))
+        runs = self.results()["runs"]
+        # Samples are chosen: the row does not claim those of the default.
+        self.assertEqual([r["label"] for r in runs], ["mtsm target-error=0.1", "mtsm target-error=4e-04"])
+        easy, hard = (r["choice"] for r in runs)
+        self.assertRegex(easy["text"], r"^resolution 512, (\d+ to )?\d+ samples$")
+        self.assertEqual((easy["target"], easy["met"], hard["met"]), (0.1, True, False))
+        self.assertLess(easy["expected"], 0.1)
+        self.assertGreater(hard["expected"], 0.0004)
+        self.assertIn(easy["text"] + ", expects an error of", done.stdout)
+        self.assertIn(": target met", done.stdout)
+        self.assertIn(": TARGET MISSED", done.stdout)
+        warnings = [line for line in done.stderr.splitlines() if "more than was asked for" in line]
+        self.assertEqual(len(warnings), 1, done.stderr)
+        self.assertIn("mtsm target-error=4e-04: expects to be off by about", warnings[0])
+        again = self.good(self.of_job("--light-scales", "1", "--no-pictures", "--truth", 256))
+        self.assertEqual(again.stdout, done.stdout)
+        self.assertEqual(again.stderr, done.stderr)
+        job()
+        self.good(self.of_job("--no-pictures", folder="given"))
+        self.assertEqual({r["choice"] for r in self.results("given")["runs"]}, {None})
+
+
 class SceneFile(Compare):
     def test_sweeps_cameras_and_receivers(self):
         job(camera="image = [40, 20]", compare="truth = 32\nmeasured-pixels = 64\nrepeats = 1\n")
@@ -605,7 +631,8 @@ class BadInput(Compare):
         self.assertEqual({t for t in truth if not math.isnan(t)}, {1.0})
 
     def test_folders_that_cannot_be_written(self):
-        self.fails(self.compare(folder="table.obj"), 3, "table.obj: cannot make this folder")
+        self.fails(self.compare(folder="table.obj"), 3, "table.obj: cannot make this folder", "a file has that name",
+                   "such as -o out")
         self.fails(self.compare(folder="table.obj/out"), 3, "table.obj/out")
         self.fails(self.compare("--cache", "table.obj"), 3, "table.obj")
         self.assertEqual(pathlib.Path("table.obj").read_text(), TABLE)

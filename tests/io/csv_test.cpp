@@ -22,11 +22,12 @@ Result<PointList> pointsOf(const std::string& text) {
     return readPoints(path);
 }
 
-Result<std::vector<ShadowRay>> raysOf(const std::string& text) {
+Result<std::vector<ShadowRay>> raysOf(const std::string& text,
+                                      std::vector<glm::dvec3>* directions = nullptr) {
     TempFolder folder;
     const std::string path = folder / "r.csv";
     test::write(path, text);
-    return readRays(path);
+    return readRays(path, directions);
 }
 
 /// The message without the folder, which differs from run to run.
@@ -129,10 +130,14 @@ TEST_CASE("a missing file and a folder are errors of the system",
 }
 
 TEST_CASE("rays have unit directions and end at tmax, or not at all", "[io][csv]") {
+    std::vector<glm::dvec3> given;
     auto rays = raysOf(
         "ox,oy,oz,dx,dy,dz,tmax\n1,2,3,0,3,4,10\n1,2,3,0,0,-1e200,inf\n0,0,0,1,0,0,\n"
-        "0,0,0,0,0,0,1\n");
+        "0,0,0,0,0,0,1\n",
+        &given);
     REQUIRE(rays);
+    CHECK(given ==
+          std::vector<glm::dvec3>{{0, 3, 4}, {0, 0, -1e200}, {1, 0, 0}, {0, 0, 0}});
     REQUIRE(rays->size() == 4);
     CHECK((*rays)[0].origin == glm::dvec3(1, 2, 3));
     CHECK((*rays)[0].direction == glm::dvec3(0, 0.6, 0.8));

@@ -186,6 +186,32 @@ TEST_CASE("half, float and mixed channels give the same positions", "[io][exr]")
     }
 }
 
+TEST_CASE(
+    "a picture that may be no pass, and halves that are too coarse for one, are told",
+    "[io][exr]") {
+    TempFolder folder;
+    const std::string path = folder / "p.exr";
+    const auto read = [&](const std::string& part, const std::string& prefix,
+                          const std::string& letters, Imf::PixelType third) {
+        Picture p;
+        p.part = part;
+        for (std::size_t c = 0; c < 3; ++c)
+            p.channels.push_back({prefix + letters[c], c == 2 ? third : Imf::FLOAT});
+        writeScanlines(path, p);
+        auto pass = readPositionPass(path);
+        REQUIRE(pass);
+        return *std::move(pass);
+    };
+    CHECK(read("", "", "RGB", Imf::FLOAT).guessed);
+    CHECK(read("beauty", "", "rgb", Imf::FLOAT).guessed);
+    CHECK_FALSE(read("", "", "XYZ", Imf::FLOAT).guessed);
+    CHECK_FALSE(read("P", "", "RGB", Imf::FLOAT).guessed);
+    CHECK_FALSE(read("", "P.", "RGB", Imf::FLOAT).guessed);
+    CHECK_FALSE(read("", "P.", "RGB", Imf::FLOAT).half);
+    CHECK(read("", "P.", "RGB", Imf::HALF).half);
+    CHECK(read("", "", "RGB", Imf::HALF).half);
+}
+
 TEST_CASE("tiles of odd sizes and mipmaps give the picture's own level", "[io][exr]") {
     TempFolder folder;
     for (auto mode : {Imf::ONE_LEVEL, Imf::MIPMAP_LEVELS}) {

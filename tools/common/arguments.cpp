@@ -60,6 +60,24 @@ bool within(double value, Range range) {
 
 }  // namespace
 
+std::size_t editDistance(std::string_view a, std::string_view b) {
+    std::vector<std::vector<std::size_t>> d(a.size() + 1,
+                                            std::vector<std::size_t>(b.size() + 1));
+    for (std::size_t i = 0; i <= a.size(); ++i) {
+        for (std::size_t k = 0; k <= b.size(); ++k) {
+            if (i == 0 || k == 0) {
+                d[i][k] = i + k;
+                continue;
+            }
+            d[i][k] = std::min({d[i - 1][k] + 1, d[i][k - 1] + 1,
+                                d[i - 1][k - 1] + (a[i - 1] != b[k - 1])});
+            if (i > 1 && k > 1 && a[i - 1] == b[k - 2] && a[i - 2] == b[k - 1])
+                d[i][k] = std::min(d[i][k], d[i - 2][k - 2] + 1);
+        }
+    }
+    return d[a.size()][b.size()];
+}
+
 std::vector<double> parseNumbers(const std::string& option, const std::string& text,
                                  std::size_t count, const std::string& form) {
     std::vector<double> values;

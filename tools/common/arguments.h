@@ -9,6 +9,7 @@
 #include <limits>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "mtsm/reader.h"
@@ -22,6 +23,9 @@ struct UsageError : std::runtime_error {
 };
 
 inline constexpr double kAny = std::numeric_limits<double>::infinity();
+
+/// Letters to insert, drop, change or swap with their neighbour to make `a` of `b`.
+std::size_t editDistance(std::string_view a, std::string_view b);
 
 /// Bounds of a number; infinite ones do not bound. Numbers are always finite.
 struct Range {

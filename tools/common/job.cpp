@@ -201,25 +201,6 @@ std::string inTable(std::string_view table) {
 // --- near misses
 // ---------------------------------------------------------------------------
 
-/// Letters to insert, drop, change or swap with their neighbour to make `a` of `b`.
-std::size_t distance(std::string_view a, std::string_view b) {
-    std::vector<std::vector<std::size_t>> d(a.size() + 1,
-                                            std::vector<std::size_t>(b.size() + 1));
-    for (std::size_t i = 0; i <= a.size(); ++i) {
-        for (std::size_t k = 0; k <= b.size(); ++k) {
-            if (i == 0 || k == 0) {
-                d[i][k] = i + k;
-                continue;
-            }
-            d[i][k] = std::min({d[i - 1][k] + 1, d[i][k - 1] + 1,
-                                d[i - 1][k - 1] + (a[i - 1] != b[k - 1])});
-            if (i > 1 && k > 1 && a[i - 1] == b[k - 2] && a[i - 2] == b[k - 1])
-                d[i][k] = std::min(d[i][k], d[i - 2][k - 2] + 1);
-        }
-    }
-    return d[a.size()][b.size()];
-}
-
 /// An unknown key as it would be spelled here: lower case, dashes.
 std::string spelled(std::string_view key) {
     std::string text(key.substr(0, 64));
@@ -255,13 +236,13 @@ std::string suggestion(std::string_view table, std::string_view unknown) {
         for (const auto& names : {std::span<const std::string_view>(kSettingTables),
                                   std::span<const std::string_view>(kListTables)})
             for (const std::string_view name : names)
-                if (distance(key, name) <= 1)
+                if (editDistance(key, name) <= 1)
                     return "did you mean " + inQuotes(name) + "?";
     }
     const Key* nearest = nullptr;
     std::size_t least = 1 + std::max<std::size_t>(1, key.size() / 3);
     for (const Key& k : kKeys) {
-        const std::size_t d = distance(key, k.name);
+        const std::size_t d = editDistance(key, k.name);
         // Keys of the same table come first among those that are equally near.
         if (d > least || (d == least && (!nearest || k.table != table))) continue;
         if (d == least && nearest->table == table) continue;

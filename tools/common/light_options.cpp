@@ -5,6 +5,7 @@
 #include <glm/trigonometric.hpp>
 
 #include "common/arguments.h"
+#include "common/tool.h"
 
 namespace mtsm::tools {
 namespace {
@@ -102,12 +103,16 @@ void applyLightOptions(const LightOptions& given, AreaLight& light) {
     if (given.direction) {
         const double length = glm::length(*given.direction);
         if (!(length > 0.0))
-            throw UsageError("--light-direction: found a vector of no length");
+            throw UsageError(
+                "--light-direction: found " + tripleText(*given.direction) +
+                ", a vector of no length; expected X,Y,Z that are not all 0");
         light.direction = *given.direction / length;
     }
     if (given.up) {
         if (!(glm::length(*given.up) > 0.0))
-            throw UsageError("--light-up: found a vector of no length");
+            throw UsageError(
+                "--light-up: found " + tripleText(*given.up) +
+                ", a vector of no length; expected X,Y,Z that are not all 0");
         light.up = *given.up;
     }
     if (given.radius) light.radius = *given.radius;

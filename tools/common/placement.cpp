@@ -1,5 +1,6 @@
 #include "common/placement.h"
 
+#include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <glm/matrix.hpp>
@@ -116,6 +117,10 @@ void chooseLight(const PlacementOptions& a, const std::vector<CasterFile>& caste
     if (light.shape != LightShape::point && lightRadius(light) == 0.0)
         talk.warn(std::string("the ") + name(light.shape) +
                   "'s size is zero: its shadows are those of a point, without penumbra");
+    else if (light.shape == LightShape::rect &&
+             std::min(light.size.x, light.size.y) == 0.0)
+        talk.warn(
+            "one side of the rect is zero: it is a line, and has no penumbra across it");
 
     if (a.light.direction) bake.aimed = true;
     if (a.light.target) {

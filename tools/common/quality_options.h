@@ -3,6 +3,7 @@
 #pragma once
 #include <CLI/CLI.hpp>
 #include <optional>
+#include <string>
 
 #include "mtsm/quality.h"
 
@@ -19,6 +20,10 @@ struct QualityOptions {
 /// `chosen`: what they choose, for --quality's help.
 void addQualityOptions(CLI::App& app, QualityOptions& options, const std::string& chosen,
                        const std::string& group);
+
+/// The mean error that a map was baked for, told from the settings that it remembers;
+/// nothing if they name none.
+[[nodiscard]] std::optional<float> bakedFor(const std::string& settings);
 
 /// An error as people read it: two digits, "0.0012".
 [[nodiscard]] std::string errorText(double error);

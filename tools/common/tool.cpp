@@ -37,6 +37,35 @@ std::string format(const char* pattern, double value) {
     throw Failure{{ErrorCode::io, path + ": cannot write: " + reason}};
 }
 
+/// The option that is nearest to an unknown one, if one is near.
+std::string suggestion(const CLI::App& app, const std::string& unknown) {
+    const std::string name = unknown.substr(0, unknown.find('='));
+    std::string nearest;
+    std::size_t least = 1 + std::max<std::size_t>(1, name.size() / 4);
+    for (const CLI::Option* option : app.get_options()) {
+        if (option->get_positional()) continue;
+        const std::string known = option->get_name();
+        const std::size_t d = editDistance(name, known);
+        if (d >= least) continue;
+        nearest = known;
+        least = d;
+    }
+    return nearest.empty() ? "" : "; did you mean " + nearest + "?";
+}
+
+/// What CLI11 finds wrong, in our words where its own do not help.
+std::string wordsFor(const CLI::App& app, const CLI::ParseError& wrong) {
+    const std::string text = wrong.what();
+    const auto most = text.find(": At Most 1 required but received");
+    if (most != std::string::npos)
+        return text.substr(0, most) + ": is given more than once; give it once";
+    if (wrong.get_exit_code() != int(CLI::ExitCodes::ExtrasError)) return text;
+    for (const std::string& unknown : app.remaining())
+        if (unknown.starts_with("-"))
+            return unknown + ": there is no such option" + suggestion(app, unknown);
+    return text;
+}
+
 }  // namespace
 
 void describeTool(CLI::App& app, const std::string& examples) {
@@ -63,7 +92,7 @@ int runTool(CLI::App& app, int argc, char** argv, Talk& talk,
         talk.error("standard output: cannot write");
         return exitCode(ErrorCode::io);
     } catch (const CLI::ParseError& wrong) {
-        talk.error(wrong.what() + seeHelp);
+        talk.error(wordsFor(app, wrong) + seeHelp);
     } catch (const UsageError& wrong) {
         talk.error(wrong.what() + seeHelp);
     } catch (const Failure& failure) {

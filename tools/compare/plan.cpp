@@ -71,6 +71,7 @@ PlannedRun makeRun(const MethodInfo& info, Settings settings,
             return g.first == setting.name;
         });
         const bool counts = counting(run.settings, setting);
+        if (samples && targetError(run) > 0.0) continue;  // it chooses
         if (value != setting.fallback || samples || (named && counts)) run.label += text;
         if (value != setting.fallback && !samples) run.series += text;
     }
@@ -135,6 +136,12 @@ std::vector<PlannedRun> planRuns(const std::vector<JobMethod>& methods,
     if (unique.empty())
         throw UsageError("--method: the scene file compares none of these methods");
     return unique;
+}
+
+double targetError(const PlannedRun& run) {
+    for (const auto& [name, value] : run.settings.all())
+        if (name == "target-error") return std::get<double>(value);
+    return 0.0;
 }
 
 std::string methodsText() {

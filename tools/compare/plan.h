@@ -27,6 +27,9 @@ std::vector<PlannedRun> planRuns(const std::vector<JobMethod>& methods,
                                  const std::vector<std::string>& only,
                                  const baseline::Settings::Given& mapDefaults);
 
+/// The mean error for which the run chooses settings itself; 0: they are given.
+double targetError(const PlannedRun& run);
+
 /// Every method and every setting with its default and range, for --list-methods.
 std::string methodsText();
 

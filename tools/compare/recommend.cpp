@@ -15,7 +15,7 @@ using Json = nlohmann::ordered_json;
 
 struct Candidate {
     const Json* run;
-    double error, query, firstFrame;  // all threads
+    double error, query, build, firstFrame;  // all threads
 };
 
 std::vector<Candidate> candidates(const Json& results, std::size_t light,
@@ -28,12 +28,43 @@ std::vector<Candidate> candidates(const Json& results, std::size_t light,
             continue;
         const double query = run["query"]["all"]["median"],
                      build = run["build"]["all"]["median"];
-        all.push_back({&run, e["mean"], query, build + query});
+        all.push_back({&run, e["mean"], query, build, build + query});
     }
     return all;
 }
 
-/// The candidate that `better` puts before all others, of those that `fits` lets in.
+/// What is slower than the least by no more than noise may be.
+constexpr double kTie = 1.2;
+
+/// Those whose cost is the least, or nearly.
+template <typename Cost>
+std::vector<Candidate> nearlyLeast(std::vector<Candidate> all, const Cost& cost) {
+    double least = INFINITY;
+    for (const Candidate& c : all)
+        least = std::min(least, cost(c));
+    std::erase_if(all, [&](const Candidate& c) { return cost(c) > kTie * least; });
+    return all;
+}
+
+double memoryOf(const Candidate& c) {
+    return (*c.run)["build"]["memoryBytes"].get<double>();
+}
+
+/// The quickest of those that `fits` lets in; of what is nearly as quick the one that is
+/// built the quickest, and of those again the smallest.
+template <typename Fits, typename Seconds>
+std::optional<Candidate> quickest(std::vector<Candidate> all, const Fits& fits,
+                                  const Seconds& seconds) {
+    std::erase_if(all, [&](const Candidate& c) { return !fits(c); });
+    const auto left = nearlyLeast(nearlyLeast(std::move(all), seconds),
+                                  [](const Candidate& c) { return c.build; });
+    const auto least = std::min_element(
+        left.begin(), left.end(),
+        [](const Candidate& a, const Candidate& b) { return memoryOf(a) < memoryOf(b); });
+    return least == left.end() ? std::nullopt : std::optional(*least);
+}
+
+/// The candidate whose cost is the least of those that `fits` lets in.
 template <typename Fits, typename Cost>
 std::optional<Candidate> best(const std::vector<Candidate>& all, const Fits& fits,
                               const Cost& cost) {
@@ -67,11 +98,14 @@ std::string lightSize(const Json& light) {
 std::string mapLines(const Json& run, const Json& light, const std::string& input,
                      const std::string& positionPass, const std::string& normalPass) {
     const Json& s = run["settings"];
-    std::string bake = "  mtsm-bake " + input + lightSize(light) + " --resolution " +
-                       numberText(s["resolution"]);
+    const bool chosen = s["target-error"] > 0.0;
+    const std::string target = " --target-error " + numberText(s["target-error"]);
+    std::string bake = "  mtsm-bake " + input + lightSize(light);
+    bake += chosen ? target : " --resolution " + numberText(s["resolution"]);
     if (s["layers"] > 0.0) bake += " --layers " + numberText(s["layers"]);
-    bake += " --near-field " + s["near"].get<std::string>();
-    bake += " --tolerance " + numberText(s["tolerance"]);
+    if (!chosen)
+        bake += " --near-field " + s["near"].get<std::string>() + " --tolerance " +
+                numberText(s["tolerance"]);
     if (s["subsamples"] > 1.0) bake += " --subsamples " + numberText(s["subsamples"]);
     if (s["bias"] >= 0.0) bake += " --bias " + numberText(s["bias"]);
     std::string query =
@@ -80,8 +114,8 @@ std::string mapLines(const Json& run, const Json& light, const std::string& inpu
     if (positionPass.empty() || !normalPass.empty())
         query += " --normal-pass " +
                  quotedForShell(normalPass.empty() ? "shot.N.exr" : normalPass);
-    query += " --samples " + numberText(s["samples"]);
-    if (s["adaptive"] == "true") query += " --adaptive";
+    query += chosen ? target : " --samples " + numberText(s["samples"]);
+    if (!chosen && s["adaptive"] == "true") query += " --adaptive";
     if (s["query-bias"] >= 0.0) query += " --bias " + numberText(s["query-bias"]);
     if (s["lookup"] != "trace") query += " --method " + s["lookup"].get<std::string>();
     if (s["attenuation"] == "subtract") query += " --attenuation subtract";
@@ -143,7 +177,7 @@ std::string recommendation(const Json& results, const Wish& wish, ErrorKind erro
         const auto byFirst = [](const Candidate& c) { return c.firstFrame; };
         const auto byQuery = [](const Candidate& c) { return c.query; };
         const auto first =
-            wish.isTime ? best(all, fits, byError) : best(all, fits, byFirst);
+            wish.isTime ? best(all, fits, byError) : quickest(all, fits, byFirst);
         if (!first) {
             const auto near =
                 wish.isTime ? best(
@@ -156,7 +190,7 @@ std::string recommendation(const Json& results, const Wish& wish, ErrorKind erro
         }
         text += "  " + line(*first) + "\n";
         // Who shades many pictures pays for the first one once.
-        const auto further = wish.isTime ? first : best(all, fits, byQuery);
+        const auto further = wish.isTime ? first : quickest(all, fits, byQuery);
         if (further->run != first->run)
             text += "  for many pictures: " + line(*further) + "\n";
         const auto isMap = [](const Candidate& c) {
@@ -164,7 +198,7 @@ std::string recommendation(const Json& results, const Wish& wish, ErrorKind erro
         };
         const auto fitsAndIsMap = [&](const Candidate& c) { return fits(c) && isMap(c); };
         auto map = wish.isTime ? best(all, fitsAndIsMap, byError)
-                               : best(all, fitsAndIsMap, byFirst);
+                               : quickest(all, fitsAndIsMap, byFirst);
         if (!map) {
             const auto near =
                 wish.isTime ? best(all, isMap, byFirst) : best(all, isMap, byError);

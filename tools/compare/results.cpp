@@ -11,6 +11,7 @@
 #include <sstream>
 
 #include "baseline/equal_error.h"
+#include "common/quality_options.h"
 #include "common/tool.h"
 #include "mtsm/image.h"
 
@@ -227,7 +228,18 @@ Json methodsJson(const std::vector<PlannedRun>& plan) {
     return methods;
 }
 
-Json runJson(const RunResult& r, const PlannedRun& run) {
+/// What a run chose for an error that was asked for, and whether it got there.
+Json choiceJson(const RunResult& r, const PlannedRun& run, ErrorKind error) {
+    if (r.choice.text.empty()) return nullptr;
+    const Errors& e = r.errors[std::size_t(error)];
+    const double target = targetError(run);
+    return {{"text", r.choice.text},
+            {"target", target},
+            {"expected", r.choice.expected},
+            {"met", e.count == 0 ? Json() : Json(e.mean <= target)}};
+}
+
+Json runJson(const RunResult& r, const PlannedRun& run, ErrorKind error) {
     Json settings = Json::object(), errors;
     for (const auto& [name, value] : run.settings.all())
         settings[name] = settingJson(value);
@@ -239,6 +251,7 @@ Json runJson(const RunResult& r, const PlannedRun& run) {
             {"series", run.series},
             {"light", r.light},
             {"settings", settings},
+            {"choice", choiceJson(r, run, error)},
             {"build",
              {{"seconds", r.build.all->median},
               {"one", timingJson(r.build.one)},
@@ -341,7 +354,7 @@ Json resultsJson(const CompareScene& scene, const std::vector<PlannedRun>& plan,
                 {{"label", run.label}, {"light", r.light}, {"reason", r.failure}});
             continue;
         }
-        j["runs"].push_back(runJson(r, run));
+        j["runs"].push_back(runJson(r, run, options.error));
         for (const bool one : {true, false}) {
             if (!one && options.threads == 1) continue;
             Json compared = equalErrorJson(r, plan, session, options, one);
@@ -431,6 +444,13 @@ std::string resultsText(const Json& results) {
                 << 1e-6 * run["build"]["memoryBytes"].get<double>()
                 << (run["unanswered"].get<std::size_t>() ? "  (part of the picture)" : "")
                 << "\n";
+            if (const Json& choice = run["choice"]; !choice.is_null())
+                out << "    chose " << choice["text"].get<std::string>()
+                    << ", expects an error of " << errorText(choice["expected"])
+                    << (choice["met"].is_null() ? ""
+                        : choice["met"]         ? ": target met"
+                                                : ": TARGET MISSED")
+                    << "\n";
         }
     }
     // A reason is said once, with how many it keeps away.

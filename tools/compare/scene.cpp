@@ -7,6 +7,7 @@
 
 #include "baseline/content.h"
 #include "common/arguments.h"
+#include "common/passes.h"
 #include "common/tool.h"
 #include "mtsm/passes.h"
 
@@ -216,6 +217,7 @@ void CompareScene::takePicture(const CameraOptions& options, Talk& talk) {
         if (options.points != 1)
             throw UsageError("--points: a position pass has one point a pixel");
         const Pass positions = unwrap(readPositionPass(options.positionPass));
+        warnOfPositions(talk, positions, options.positionPass);
         std::vector<glm::vec3> normals;
         if (!options.normalPass.empty())
             normals = unwrap(readNormalPass(options.normalPass, positions)).values;

@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "baseline/errors.h"
+#include "baseline/method.h"
 #include "common/talk.h"
 #include "compare/plan.h"
 #include "compare/scene.h"
@@ -53,6 +54,7 @@ struct RunResult {
     /// Of the first answer: the compared pixels, cold, with all threads.
     double firstAnswer = 0.0;
     std::uint64_t memoryBytes = 0;
+    baseline::Choice choice;
     std::vector<float> values;  ///< [pixels]
     std::size_t unanswered = 0;
     /// Over the image, over the object, the same two times the cosine to the light.
@@ -93,6 +95,7 @@ class Session {
     void timeRounds(std::size_t light, const std::vector<RunResult*>& group);
     double timeOnce(std::size_t light, const RunResult& result, int threads,
                     int times) const;
+    void sayWhatIsMissed(const RunResult& result) const;
     void judge(std::size_t light, RunResult& result) const;
 
     [[nodiscard]] std::uint64_t lightKey(std::size_t light) const;

@@ -47,6 +47,10 @@ struct Pass {
     /// The layer that was read, as the file has it: "" for bare channels, "part:layer" in
     /// a file of many parts.
     std::string layer;
+    /// Taken though nothing but its being alone in the file speaks for it: R, G, B under
+    /// no known name, which may as well be a picture.
+    bool guessed = false;
+    bool half = false;  ///< some of its channels are half floats: three digits
     std::vector<glm::vec3> values;  ///< [data.height][data.width], as the file has them
     /// [data.height][data.width]: 1 where there is a surface, 0 where there is none. None
     /// is where a component is not finite, or where alpha is 0, negative or not a number:

@@ -31,8 +31,9 @@ Result<PointList> readPoints(const std::string& path);
 /// Columns ox, oy, oz and dx, dy, dz: the direction may have any length and is normalised
 /// here (no length: it stays, and the ray is clear). Column tmax, if there: the ray's
 /// length in world units along the unit direction; "inf", empty or no column: without
-/// end.
-Result<std::vector<ShadowRay>> readRays(const std::string& path);
+/// end. `directions`: where they go as the file has them.
+Result<std::vector<ShadowRay>> readRays(const std::string& path,
+                                        std::vector<glm::dvec3>* directions = nullptr);
 
 /// One column to be written: values[0], values[stride], values[2 * stride], ...
 struct CsvColumn {
