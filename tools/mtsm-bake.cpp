@@ -534,10 +534,7 @@ MapSettings chooseSettings(const Arguments& a, const CLI::App& app, CasterSource
     choose("--near-field",
            chosen.nearField ? std::to_string(chosen.nearField >> 20) + "M" : "none",
            [&] { bake.nearField = chosen.nearField; });
-    const bool leftOut = keepsCasters(chosen.kind) && bake.nearField == 0;
-    talk.say("for a mean error of " + errorText(error) + ", of " +
-             (leftOut ? "casters that --near-field none leaves to the layers alone"
-                      : kindText(chosen.kind)) +
+    talk.say("for a mean error of " + errorText(error) + ", of " + kindText(chosen.kind) +
              ": " + (text.empty() ? "nothing" : text));
     return chosen;
 }
@@ -556,7 +553,9 @@ std::string adviceFor(const CLI::App& app, const ShadowMap& map,
     const MapKind kind = chosen.kind == MapKind::volume ? chosen.kind : kindOf(map);
     const std::uint32_t pixels = std::min(map.info().width, map.info().height);
     const char* const truth = "hold it against the truth with mtsm-compare";
-    if (app.count("--near-field") && keepsCasters(chosen.kind) && !keepsCasters(kind))
+    const bool couldKeep =
+        kind != MapKind::volume && map.faceCount() == 1 && map.info().channels == 1;
+    if (app.count("--near-field") && couldKeep && !keepsCasters(kind))
         return std::string(
                    "leave --near-field out, so that the casters are kept beside "
                    "the layers, or ") +

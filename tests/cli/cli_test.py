@@ -1243,15 +1243,15 @@ class Query(ToolTest):
         done = self.good(run("bake", "scene.obj", "--exclude", "floor", *LIGHT, "--quality", "final", "--resolution", 64, "-o", "q.mtsm"))
         self.assertIn("rasterised 64 x 64", done.stderr)
         self.assertNotIn("--resolution 1024", done.stderr)
+        self.assertIn("; raise --resolution, or hold it against the truth", done.stderr)
         # What lets light through has no near field in colour: the map has to be finer.
         for color, kind, side in (([], "kept whole", 512), (["--color"], "that let light through: ", 1024)):
-            done = self.good(run("bake", "scene.obj", "--exclude", "floor", "--opacity", 0.5, *color, *LIGHT, "--target-error", 0.02, "-o", "q.mtsm", "--json"))
+            done = self.good(run("bake", "scene.obj", "--exclude", "floor", "--opacity", 0.5, *color, *LIGHT, "--target-error", 0.02, "-o", "c.mtsm", "--json"))
             self.assertIn(kind, done.stderr)
             self.assertEqual((json.loads(done.stdout)["width"], json.loads(done.stdout)["nearField"]["kept"]), (side, not color))
-        self.assertIn("; raise --resolution, or hold it against the truth", done.stderr)
         done = self.good(run("bake", "scene.obj", "--exclude", "floor", *LIGHT, "--quality", "final", "--resolution", 64,
                              "--near-field", "none", "-o", "n.mtsm"))
-        self.assertIn("that --near-field none leaves to the layers alone", done.stderr)
+        self.assertIn("not kept beside the layers", done.stderr)
         self.assertIn("leave --near-field out", done.stderr)
         self.assertNotIn("kept whole", done.stderr)
         plane = ["--plane", "-2,0,-2,4,0,0,0,0,4", "--size", "64x64", "--json", "-o", "e.exr"]
