@@ -862,8 +862,9 @@ void runPoints(const Arguments& a, const CLI::App& app, Kind kind, ShadowMap& ma
     const double prepareSeconds = since(start);
     Results results = queryPoints(map, light, options, wantsErrors(a, options), r, talk);
     results.prepareSeconds = prepareSeconds;
-    results.memoryBytes =
-        options.method == ShadowMethod::trace ? queryMemoryBytes(map) : map.memoryBytes();
+    results.memoryBytes = options.method == ShadowMethod::trace && anySurface(r)
+                              ? queryMemoryBytes(map)
+                              : map.memoryBytes();
     results.mapError = mapError(map);
     if (kind == Kind::point) results.noNormal = 0;  // none was given
     if (isPicture(kind) && extension(a.output) != ".csv")

@@ -426,7 +426,9 @@ class Rays {
             if (in_.media) {
                 // What is met within the bias must be further than twice that from the
                 // receiver's own surface, measured in depth.
-                Vec depth = constant(0.4f * in_.at.surfaceStart[receiver_]);
+                // Beside a near field texels have two pixels, and the bias is as wide.
+                const float texel = view_.near ? 2.0f : 1.0f;
+                Vec depth = constant(0.4f * texel * in_.at.surfaceStart[receiver_]);
                 if (view_.perspective)
                     depth = hn::Mul(depth, hn::Mul(start_.z, start_.z));
                 surfaces =

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "light/sample.h"
+#include "shadow/query.h"
 #include "shadow/sample_error.h"
 
 namespace mtsm {
@@ -189,8 +190,8 @@ MapKind kindOf(const ShadowMap& map) noexcept {
     if (hair) return map.faceCount() == 1 ? MapKind::nearHair : MapKind::hair;
     if (sheets) return MapKind::nearSheets;
     if (map.isOpaque()) return triangles ? MapKind::nearField : MapKind::surfaces;
-    return map.info().translucent == Translucent::sheets ? MapKind::sheets
-                                                         : MapKind::hair;
+    if (map.info().translucent == Translucent::sheets) return MapKind::sheets;
+    return shadow::mediaStartOf(map) == 0.0 ? MapKind::volume : MapKind::hair;
 }
 
 float mapError(MapKind kind, std::uint32_t resolution) noexcept {

@@ -20,6 +20,9 @@ namespace hn = hwy::HWY_NAMESPACE;
 using Floats = hn::CappedTag<float, kLanes>;
 using Ints = hn::RebindToSigned<Floats>;
 
+/// The depth of a sheet of a pixel from which on it is dark.
+constexpr float kNearlyDark = 0.5f * kDarkDepth;
+
 /// Texels that rays cross, waiting to be answered.
 struct Hits {
     static constexpr int kRoom = 128;
@@ -559,19 +562,31 @@ void Kernel::answerSheets(int level) {
             };
             const auto met = part(hn::Sub(hn::Min(enter, exit), lowBias),
                                   hn::Add(hn::Max(enter, exit), highBias));
-            const auto entered = part(hn::Sub(enter, step), hn::Add(enter, step));
-            const auto left = part(hn::Sub(exit, nextStep), hn::Add(exit, nextStep));
-            if (hn::AllFalse(d, hn::Gt(hn::Add(met, entered), zero))) continue;
-            near = hn::Add(near, entered);
-            any = true;
-            goesOn = hn::Add(goesOn, hn::Min(met, left));
-            goesOnIfKnown = hn::Add(goesOnIfKnown, hn::Min(hn::Max(met, entered), left));
-            for (std::uint32_t c = 0; c < channels; ++c) {
+            const auto depthOf = [&](std::uint32_t c) {
                 const auto density =
                     hn::BitCast(d, c == 0 ? hn::ShiftLeft<DensityLevel::kDensityShift>(
                                                 hn::AndNot(upper, bits))
                                           : plane(c + 1));
-                const auto depth = hn::Mul(density, length);
+                return hn::Mul(density, length);
+            };
+            // What is dark in a pixel blocks, whatever was paid for before. Above, where
+            // the bias is wider, that would darken (tests/shadow/ray_test.cpp).
+            const float least = level == 0 ? kNearlyDark : HUGE_VALF;
+            auto dark = hn::Ge(depthOf(0), hn::Set(d, least));
+            for (std::uint32_t c = 1; c < channels; ++c)
+                dark = hn::And(dark, hn::Ge(depthOf(c), hn::Set(d, least)));
+            const auto entered = hn::IfThenZeroElse(
+                dark, part(hn::Sub(enter, step), hn::Add(enter, step)));
+            const auto left = part(hn::Sub(exit, nextStep), hn::Add(exit, nextStep));
+            if (hn::AllFalse(d, hn::Gt(hn::Add(met, entered), zero))) continue;
+            near = hn::Add(near, entered);
+            any = true;
+            goesOn = hn::Add(goesOn, hn::IfThenZeroElse(dark, hn::Min(met, left)));
+            goesOnIfKnown =
+                hn::Add(goesOnIfKnown,
+                        hn::IfThenZeroElse(dark, hn::Min(hn::Max(met, entered), left)));
+            for (std::uint32_t c = 0; c < channels; ++c) {
+                const auto depth = depthOf(c);
                 depthMet[c] += total(hn::Mul(depth, met));
                 depthNear[c] += total(hn::Mul(depth, hn::Min(met, entered)));
             }

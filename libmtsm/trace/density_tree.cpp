@@ -191,6 +191,11 @@ class PixelSlabs {
     /// end dark, the last one blocks and the others take nothing.
     void add(const PixelLayers& pixel, std::uint32_t i, float way,
              std::vector<Slab>& out) const {
+        const bool single = i == 0 || !pixel.n || pixel.n[i] == 1;
+        if (isDark(pixel, i) && (sheets_ || single)) {  // blocks all channels
+            out.push_back(at(pixel.z[i], {kDarkDepth, kDarkDepth, kDarkDepth}));
+            return;
+        }
         const bool restart = i == 0 || isDark(pixel, i - 1);
         Depths depth{}, end{};
         bool takes = false, ends = false;
@@ -208,7 +213,6 @@ class PixelSlabs {
         }
         if (ends) out.push_back(at(pixel.z[i], end));
         if (!takes) return;
-        const bool single = i == 0 || !pixel.n || pixel.n[i] == 1;
         spread(single ? pixel.z[i] : pixel.z[i - 1], pixel.z[i], depth, out);
     }
 

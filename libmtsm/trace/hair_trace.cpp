@@ -123,7 +123,8 @@ struct CloseSegments {
         for (int i = 0; i < count; ++i) {
             left[i] = -1;
             for (int j = 0; j < count && left[i] < 0; ++j) {
-                if (i == j || !follows(j, i)) continue;
+                // Of two that lie back to back neither hides the other.
+                if (i == j || !follows(j, i) || (j < i && left[j] == i)) continue;
                 left[i] = j;
                 joinedRight |= 1u << j;
             }

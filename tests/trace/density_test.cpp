@@ -835,6 +835,26 @@ TEST_CASE("steep dark cards stop rays at any slant, from texels of any size", "[
     }
 }
 
+TEST_CASE("what is dark blocks a ray that has just paid for a neighbour",
+          "[trace][exact]") {
+    // Half a pixel of a card, then its inside: at one depth, or nearly.
+    MapInfo info = mediaInfo(32);
+    for (const Translucent kind : {Translucent::sheets, Translucent::media}) {
+        info.translucent = kind;
+        const ShadowMap map = mapOf(info, parallel(32), [](std::uint32_t x, auto) {
+            return x < 16 ? std::vector<TestLayer>{{5.0f, 0.5f, 1}}
+                          : std::vector<TestLayer>{{4.9f, 0.0f, 1}};
+        });
+        const DensityTree tree = treeOf(map);
+        Asked asked;
+        asked.bias = {0.3, 0.0};
+        Ray ray;  // meets the left half at its border
+        ray.origin = {-0.4, 0.1, -5.4};
+        ray.delta = {4.0, 0.0, 4.0};
+        CHECK(traceAll(map, tree, {ray}, asked)[0][0] == Approx(0.0).margin(1e-6));
+    }
+}
+
 TEST_CASE("an empty map has an empty density tree", "[trace]") {
     const ShadowMap map = mapOf(mediaInfo(8), parallel(8),
                                 [](auto, auto) { return std::vector<TestLayer>{}; });
