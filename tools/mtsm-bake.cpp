@@ -512,10 +512,9 @@ bool keepsCasters(MapKind kind) {
            kind == MapKind::nearHair;
 }
 
-/// Puts what --quality or --target-error chooses in place of what was not given; what it
-/// would choose, were nothing given.
-MapSettings chooseSettings(const Arguments& a, const CLI::App& app, CasterSource& casters,
-                           Talk& talk, BakeOptions& bake) {
+/// Puts what --quality or --target-error chooses in place of what was not given.
+void chooseSettings(const Arguments& a, const CLI::App& app, CasterSource& casters,
+                    Talk& talk, BakeOptions& bake) {
     const float error = *a.quality.meanError();
     MapForm form{bake.cube, bake.color};
     if (app.count("--near-field")) form.nearField = bake.nearField > 0;
@@ -536,21 +535,11 @@ MapSettings chooseSettings(const Arguments& a, const CLI::App& app, CasterSource
            [&] { bake.nearField = chosen.nearField; });
     talk.say("for a mean error of " + errorText(error) + ", of " + kindText(chosen.kind) +
              ": " + (text.empty() ? "nothing" : text));
-    return chosen;
-}
-
-/// What a map baked by such settings is expected to be off by. A map does not tell fog
-/// from hair, its casters do.
-float expectedError(const ShadowMap& map, const MapSettings& chosen) {
-    return chosen.kind == MapKind::volume && map.layerCount() > 0
-               ? mapError(chosen.kind, std::min(map.info().width, map.info().height))
-               : mapError(map);
 }
 
 /// What may bring the error down.
-std::string adviceFor(const CLI::App& app, const ShadowMap& map,
-                      const MapSettings& chosen) {
-    const MapKind kind = chosen.kind == MapKind::volume ? chosen.kind : kindOf(map);
+std::string adviceFor(const CLI::App& app, const ShadowMap& map) {
+    const MapKind kind = kindOf(map);
     const std::uint32_t pixels = std::min(map.info().width, map.info().height);
     const char* const truth = "hold it against the truth with mtsm-compare";
     const bool couldKeep =
@@ -569,9 +558,8 @@ std::string adviceFor(const CLI::App& app, const ShadowMap& map,
 
 /// Says what the map is expected to come to, and if that is too much.
 void checkQuality(const Arguments& a, const CLI::App& app, const Baked& baked,
-                  const MapSettings& chosen, Talk& talk) {
-    const float asked = *a.quality.meanError(),
-                expected = expectedError(baked.map, chosen);
+                  Talk& talk) {
+    const float asked = *a.quality.meanError(), expected = mapError(baked.map);
     const std::string text = "the map is expected to be off by about " +
                              errorText(expected) +
                              " in the mean over a picture that it fills";
@@ -579,7 +567,7 @@ void checkQuality(const Arguments& a, const CLI::App& app, const Baked& baked,
         talk.say(text);
     else
         talk.warn(text + ", more than the " + errorText(asked) +
-                  " asked for: " + adviceFor(app, baked.map, chosen));
+                  " asked for: " + adviceFor(app, baked.map));
 }
 
 /// Those of the counts that are not zero, with commas between.
@@ -692,8 +680,7 @@ void say(Talk& talk, const Baked& baked, const Arguments& a, std::uint64_t fileB
 }
 
 nlohmann::ordered_json reportJson(const Baked& baked, const Arguments& a,
-                                  const MapSettings& chosen, std::uint64_t fileBytes,
-                                  Timing timing) {
+                                  std::uint64_t fileBytes, Timing timing) {
     const BakeReport& r = baked.report;
     const MapInfo& info = baked.map.info();
     nlohmann::ordered_json j;
@@ -718,8 +705,7 @@ nlohmann::ordered_json reportJson(const Baked& baked, const Arguments& a,
     j["toleranceReached"] = info.toleranceReached;
     j["pixelsOverTolerance"] = r.pixelsOverTolerance;
     if (const auto asked = a.quality.meanError())
-        j["quality"] = {{"targetError", *asked},
-                        {"mapError", expectedError(baked.map, chosen)}};
+        j["quality"] = {{"targetError", *asked}, {"mapError", mapError(baked.map)}};
     j["castersClipped"] = info.castersClipped;
     j["casters"] = {{"meshes", r.meshes},         {"triangles", r.triangles},
                     {"strands", r.strands},       {"segments", r.segments},
@@ -748,10 +734,9 @@ void run(const Arguments& a, const CLI::App& app, const Input& input, Talk& talk
     const auto start = Clock::now();
     BakeOptions options = checkedBakeOptions(a, app, input, talk);
     CasterFiles casters(input.casters, filesOptions(a, talk));
-    MapSettings chosen;
-    if (a.quality.meanError()) chosen = chooseSettings(a, app, casters, talk, options);
+    if (a.quality.meanError()) chooseSettings(a, app, casters, talk, options);
     const Baked baked = unwrap(bake(casters, options));
-    if (a.quality.meanError()) checkQuality(a, app, baked, chosen, talk);
+    if (a.quality.meanError()) checkQuality(a, app, baked, talk);
 
     WriteOptions write;
     write.codec = a.codec.value_or(0) == 0 ? Codec::zstd : Codec::none;
@@ -770,7 +755,7 @@ void run(const Arguments& a, const CLI::App& app, const Input& input, Talk& talk
     const auto size = std::filesystem::file_size(a.output, problem);
     const std::uint64_t fileBytes = problem ? 0 : size;
     say(talk, baked, a, fileBytes, timing);
-    if (a.json) print(jsonText(reportJson(baked, a, chosen, fileBytes, timing)));
+    if (a.json) print(jsonText(reportJson(baked, a, fileBytes, timing)));
 }
 
 void checkOutput(const Arguments& a, const Input& input) {

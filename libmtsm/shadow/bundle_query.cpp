@@ -48,9 +48,8 @@ constexpr float kSheetSpread = 2.0f;
 /// Triangles cannot be all of what is not opaque, and where strands are, not all.
 bool hasNear(const ShadowMap& map, std::uint32_t face) {
     if (!map.nearSheets(face).empty()) return true;
-    const bool hair = !map.nearHair(face).empty();
-    return map.isOpaque() ? !map.nearField(face).empty() && !hair
-                          : hair && map.faceCount() == 1;
+    return map.isOpaque() ? !map.nearField(face).empty() && map.nearHair(face).empty()
+                          : trace::hasNearMedia(map);
 }
 
 /// More where the light is so far away that floats tell no such heights apart: a receiver

@@ -11,6 +11,7 @@
 #define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
+#include "trace/density_tree.h"
 #include "trace/lanes-inl.h"
 
 #ifndef MTSM_SHADOW_LIGHT_RAYS_INPUT
@@ -425,9 +426,10 @@ class Rays {
             begin = surfaces = hn::Mul(constant(view_.planeHeight), per);
             if (in_.media) {
                 // What is met within the bias must be further than twice that from the
-                // receiver's own surface, measured in depth.
-                // Beside a near field texels have two pixels, and the bias is as wide.
-                const float texel = view_.near ? 2.0f : 1.0f;
+                // receiver's own surface, measured in depth. Beside a near field texels
+                // are larger, and the bias with them.
+                const auto texel =
+                    float(view_.near ? 1u << trace::kFinestBesideNear : 1u);
                 Vec depth = constant(0.4f * texel * in_.at.surfaceStart[receiver_]);
                 if (view_.perspective)
                     depth = hn::Mul(depth, hn::Mul(start_.z, start_.z));

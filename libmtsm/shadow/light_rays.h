@@ -60,8 +60,7 @@ class LightRays {
     /// `nearStart`. `nearWidth`: if above 0, it answers for as much less, down to
     /// `nearLeast`, as the light, seen from there through the receiver, is as many pixels
     /// wide; and of rays without bounds (RayBundle::wide) for that in an opaque map, for
-    /// nothing in others. `onlyKey`: all
-    /// receivers have this key.
+    /// nothing in others. `onlyKey`: all receivers have this key.
     struct Setting {
         std::uint32_t samples = 1;
         std::uint32_t seed = 0;

@@ -36,21 +36,41 @@ void add(QueryStats& total, const QueryStats& part) {
     total.mayBeTruncated += part.mayBeTruncated;
 }
 
+/// What a batch asks.
+struct Batch {
+    const ShadowMap& map;
+    const AreaLight& light;
+    const glm::dvec3* points;
+    const glm::dvec3* normals;  ///< null: there are none
+    std::size_t count;
+    const ShadowOptions& options;
+    bool errors;
+
+    [[nodiscard]] glm::dvec3 normal(std::size_t i) const {
+        return normals ? normals[i] : glm::dvec3(0.0);
+    }
+    [[nodiscard]] Batch part(std::size_t first, std::size_t size) const {
+        Batch b = *this;
+        b.points += first;
+        if (normals) b.normals += first;
+        b.count = size;
+        return b;
+    }
+};
+
 /// Hands the answer about point i to take(i, answer), for all points, one by one.
 template <typename Take>
-void answerEach(const shadow::Query& query, const glm::dvec3* points,
-                const glm::dvec3* normals, std::size_t count, QueryStats& stats,
+void answerEach(const shadow::Query& query, const Batch& batch, QueryStats& stats,
                 const Take& take) {
     std::mutex mutex;
     const auto answer = [&](std::size_t begin, std::size_t end) {
         QueryStats part;
         for (std::size_t i = begin; i < end; ++i)
-            take(i, query.shadowFactor(points[i], normals ? normals[i] : glm::dvec3(0.0),
-                                       part));
+            take(i, query.shadowFactor(batch.points[i], batch.normal(i), part));
         const std::lock_guard lock(mutex);
         add(stats, part);
     };
-    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
+    base::parallelRanges(std::size_t(0), batch.count, kPointsPerTask, answer);
 }
 
 /// Points of a batch; those of which a step does not tell enough are put together anew.
@@ -124,9 +144,8 @@ class Groups {
 /// The same, neighbours together.
 template <typename Take>
 void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles,
-                  const glm::dvec3* points, const glm::dvec3* normals, std::size_t count,
-                  QueryStats& stats, const Take& take) {
-    const shadow::ReceiverOrder order(bundles, points, normals, count);
+                  const Batch& batch, QueryStats& stats, const Take& take) {
+    const shadow::ReceiverOrder order(bundles, batch.points, batch.normals, batch.count);
     std::mutex mutex;
     const auto answer = [&](std::size_t begin, std::size_t end) {
         using Glance = shadow::BundleQuery::Glance;
@@ -141,10 +160,10 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
                 order.block(first, std::min(end, first + kMost));
             for (std::size_t k = 0; k < block.count; ++k) {
                 const std::size_t i = indices[k] = order[first + k];
-                receivers[k].point = points[i];
-                receivers[k].normal = normals && shadow::saysSomething(normals[i])
-                                          ? normals[i]
-                                          : glm::dvec3(0.0);
+                receivers[k].point = batch.points[i];
+                const glm::dvec3 normal = batch.normal(i);
+                receivers[k].normal =
+                    shadow::saysSomething(normal) ? normal : glm::dvec3(0.0);
             }
             first += block.count;
             if (!block.bundled) {
@@ -174,54 +193,45 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
         const std::lock_guard lock(mutex);
         add(stats, part);
     };
-    base::parallelRanges(std::size_t(0), count, kPointsPerTask, answer);
+    base::parallelRanges(std::size_t(0), batch.count, kPointsPerTask, answer);
 }
 
 /// Many points at once.
 template <typename Take>
-void answerBundles(const shadow::Query& query, const ShadowMap& map,
-                   const AreaLight& light, const glm::dvec3* points,
-                   const glm::dvec3* normals, std::size_t count,
-                   const ShadowOptions& options, bool errors, QueryStats& stats,
+void answerBundles(const shadow::Query& query, const Batch& batch, QueryStats& stats,
                    const Take& take) {
     // What a point that is not finite is asked with does not matter.
-    const shadow::Receiver only{
-        points[0], normals ? shadow::unitNormal(normals[0]) : glm::dvec3(0.0)};
-    const shadow::BundleQuery bundles(map, light, options, errors,
-                                      count == 1 ? &only : nullptr);
+    const shadow::Receiver only{batch.points[0], shadow::unitNormal(batch.normal(0))};
+    const shadow::BundleQuery bundles(batch.map, batch.light, batch.options, batch.errors,
+                                      batch.count == 1 ? &only : nullptr);
     // Orders count in 32 bits.
     constexpr std::size_t kAtOnce = std::size_t(1) << 30;
-    for (std::size_t first = 0; first < count; first += kAtOnce) {
+    for (std::size_t first = 0; first < batch.count; first += kAtOnce) {
         answerGroups(
-            query, bundles, points + first, normals ? normals + first : nullptr,
-            std::min(kAtOnce, count - first), stats,
-            [&](std::size_t i, const Answer& answer) { take(first + i, answer); });
+            query, bundles, batch.part(first, std::min(kAtOnce, batch.count - first)),
+            stats, [&](std::size_t i, const Answer& answer) { take(first + i, answer); });
     }
 }
 
 /// One after another, which by ray needs no memory. A point alone needs little: a map
 /// without layers, whose rays know no normals, has it tried.
 template <typename Take>
-void answerInTurn(const shadow::Query& query, const ShadowMap& map,
-                  const AreaLight& light, const glm::dvec3* points,
-                  const glm::dvec3* normals, std::size_t count,
-                  const ShadowOptions& options, bool errors, QueryStats& stats,
+void answerInTurn(const shadow::Query& query, const Batch& batch, QueryStats& stats,
                   const Take& take) {
     const bool bundles =
-        !map.hasLayers() && shadow::BundleQuery::serves(map, light, options);
-    for (std::size_t i = 0; i < count; ++i) {
-        const auto takeIt = [&](std::size_t, const Answer& answer) { take(i, answer); };
-        const glm::dvec3* const normal = normals ? normals + i : nullptr;
-        if (bundles) {
-            try {
-                answerBundles(query, map, light, points + i, normal, 1, options, errors,
-                              stats, takeIt);
+        !batch.map.hasLayers() &&
+        shadow::BundleQuery::serves(batch.map, batch.light, batch.options);
+    for (std::size_t i = 0; i < batch.count; ++i) {
+        try {
+            if (bundles) {
+                answerBundles(
+                    query, batch.part(i, 1), stats,
+                    [&](std::size_t, const Answer& answer) { take(i, answer); });
                 continue;
-            } catch (const std::bad_alloc&) {
             }
+        } catch (const std::bad_alloc&) {  // by ray, then
         }
-        takeIt(0,
-               query.shadowFactor(points[i], normal ? *normal : glm::dvec3(0.0), stats));
+        take(i, query.shadowFactor(batch.points[i], batch.normal(i), stats));
     }
 }
 
@@ -240,18 +250,17 @@ void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* p
                QueryStats* stats, bool errors, const Take& take) noexcept {
     if (count == 0) return;
     const ShadowOptions options = served(map, asked);
+    const Batch batch{map, light, points, normals, count, options, errors};
     const shadow::Query query(map, light, options, errors);
     QueryStats met;
     try {
         if (shadow::BundleQuery::serves(map, light, options))
-            answerBundles(query, map, light, points, normals, count, options, errors, met,
-                          take);
+            answerBundles(query, batch, met, take);
         else
-            answerEach(query, points, normals, count, met, take);
+            answerEach(query, batch, met, take);
     } catch (const std::bad_alloc&) {
         met = {};
-        answerInTurn(query, map, light, points, normals, count, options, errors, met,
-                     take);
+        answerInTurn(query, batch, met, take);
     }
     if (stats) add(*stats, met);
 }

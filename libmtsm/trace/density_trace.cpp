@@ -20,9 +20,6 @@ namespace hn = hwy::HWY_NAMESPACE;
 using Floats = hn::CappedTag<float, kLanes>;
 using Ints = hn::RebindToSigned<Floats>;
 
-/// The depth of a sheet of a pixel from which on it is dark.
-constexpr float kNearlyDark = 0.5f * kDarkDepth;
-
 /// Texels that rays cross, waiting to be answered.
 struct Hits {
     static constexpr int kRoom = 128;
@@ -519,6 +516,9 @@ void Kernel::answerSheets(int level) {
     const auto zero = hn::Zero(d);
     const auto total = [&](auto v) { return hn::GetLane(hn::SumOfLanes(d, v)); };
     const std::uint32_t channels = tree_.channels();
+    // What is dark in a pixel blocks, whatever was paid for before. Above, where the bias
+    // is wider, that would darken (tests/shadow/ray_test.cpp).
+    const auto blocks = hn::Set(d, level == 0 ? 0.5f * kDarkDepth : HUGE_VALF);
     const DensityLevel& texels = tree_.sheets().levels[std::size_t(level)];
     for (int h = 0; h < hits.count; ++h) {
         const DensityTexel texel = texels.texels[std::size_t(hits.texel[h])];
@@ -569,12 +569,9 @@ void Kernel::answerSheets(int level) {
                                           : plane(c + 1));
                 return hn::Mul(density, length);
             };
-            // What is dark in a pixel blocks, whatever was paid for before. Above, where
-            // the bias is wider, that would darken (tests/shadow/ray_test.cpp).
-            const float least = level == 0 ? kNearlyDark : HUGE_VALF;
-            auto dark = hn::Ge(depthOf(0), hn::Set(d, least));
+            auto dark = hn::Ge(depthOf(0), blocks);
             for (std::uint32_t c = 1; c < channels; ++c)
-                dark = hn::And(dark, hn::Ge(depthOf(c), hn::Set(d, least)));
+                dark = hn::And(dark, hn::Ge(depthOf(c), blocks));
             const auto entered = hn::IfThenZeroElse(
                 dark, part(hn::Sub(enter, step), hn::Add(enter, step)));
             const auto left = part(hn::Sub(exit, nextStep), hn::Add(exit, nextStep));

@@ -72,7 +72,7 @@ struct Segments {
     alignas(64) float half[2][kSegments];
     std::uint32_t present = 0;
 
-    Segments() {}
+    Segments() {}  // of none
     explicit Segments(const NearHairChunk& chunk) {
         const Floats d;
         const hn::Rebind<std::int32_t, Floats> whole;
@@ -95,6 +95,11 @@ struct Segments {
         }
         for (int i = 0; i < kSegments; ++i)
             present |= std::uint32_t(chunk.opacity[i] > 0) << i;
+    }
+    [[nodiscard]] Vec3 load(int end, std::size_t i) const {
+        const Floats d;
+        return {hn::Load(d, at[end][0] + i), hn::Load(d, at[end][1] + i),
+                hn::Load(d, at[end][2] + i)};
     }
 };
 
@@ -178,12 +183,14 @@ class HairWalk {
     void settle(float darkDepth, std::uint32_t channels, RayDepths& depths);
 
   private:
-    /// A close segment's middle line in light space, from the receiver.
-    struct CloseLine {
-        float from[3], along[3];
-        float along2, both, from2;  ///< along . along, along . from, from . from
-        float half, widen;          ///< where it begins, and how much more where it ends
-        float free;                 ///< rays do not meet it for so many half widths
+    /// Middle lines of close segments in light space, as toLight() has it, from the
+    /// receiver.
+    struct CloseLines {
+        alignas(64) float from[3][kSegments], along[3][kSegments];
+        /// along . along, along . from, from . from
+        alignas(64) float along2[kSegments], both[kSegments], from2[kSegments];
+        /// Where it begins, and how much more where it ends.
+        alignas(64) float half[kSegments], widen[kSegments];
     };
 
     void setUp(int receiver);
@@ -196,20 +203,19 @@ class HairWalk {
     [[nodiscard]] std::uint32_t within(int lane, const Segments& segments,
                                        float halves) const;
     void meetClose(int lane);
-    void toLight(int lane, const Segments& segments, int end, int i,
-                 float (&out)[3]) const;
-    [[nodiscard]] CloseLine lineOf(int lane, const Segments& segments, int i,
-                                   bool own) const;
-    [[nodiscard]] Vec3 direction(int lane, Vec slopeU, Vec slopeV) const;
-    [[nodiscard]] std::uint32_t meets(int lane, const CloseLine& line, bool joinedLeft,
-                                      bool joinedRight, const Vec3& ray) const;
+    [[nodiscard]] Vec3 toLight(int lane, const Vec3& way) const;
+    [[nodiscard]] Vec3 fromStart(int lane, const Vec3& place) const;
+    [[nodiscard]] CloseLines linesOf(int lane, const Segments& segments) const;
+    [[nodiscard]] std::uint32_t meets(int lane, const CloseSegments& close,
+                                      const CloseLines& lines, int i, bool own,
+                                      const Vec3& ray) const;
     [[nodiscard]] std::uint32_t look(int lane, const Segments& segments,
                                      SeenSegments& seen) const;
     struct Slope {
         Vec u, v;
     };
     [[nodiscard]] Slope facing(int lane, const Vec (&first)[2], Vec eu, Vec ev) const;
-    void across(int lane, Slope ray, const Vec (&way)[3], Vec (&side)[2]) const;
+    void across(int lane, Slope ray, const Vec3& way, Vec (&side)[2]) const;
     [[nodiscard]] float depthOf(std::uint16_t opacity);
     void cross(int lane, const SeenSegments& seen, int i, float depth);
 
@@ -372,19 +378,17 @@ void HairWalk::meetClose(int lane) {
     segments.present = (1u << close.count) - 1;
     close.join();
     const std::uint32_t own = close.strandOf(within(lane, segments, kWithin));
-    CloseLine lines[kSegments];
-    for (int i = 0; i < close.count; ++i)
-        lines[i] = lineOf(lane, segments, i, own >> i & 1);
+    const CloseLines lines = linesOf(lane, segments);
     const Floats d;
     for (int group = 0; group < rays_.groups; ++group) {
         const int row = rays_.row(lane, group);
         for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
-            const Vec3 ray = direction(lane, hn::Load(d, slopeU_[row] + k),
-                                       hn::Load(d, slopeV_[row] + k));
+            Vec3 ray = toLight(lane, {hn::Load(d, slopeU_[row] + k),
+                                      hn::Load(d, slopeV_[row] + k), hn::Set(d, 1.0f)});
+            ray = scaled(ray, hn::Div(hn::Set(d, 1.0f), hn::Sqrt(dot(ray, ray))));
             std::uint32_t met[kSegments], any = 0;
             for (int i = 0; i < close.count; ++i)
-                any |= met[i] = meets(lane, lines[i], close.left[i] >= 0,
-                                      close.joinedRight >> i & 1, ray);
+                any |= met[i] = meets(lane, close, lines, i, own >> i & 1, ray);
             for (int i = 0; any && i < close.count; ++i) {
                 const std::uint32_t before = close.left[i] >= 0 ? met[close.left[i]] : 0;
                 const Vec more = hn::IfThenElseZero(maskOf(met[i] & ~before),
@@ -395,130 +399,98 @@ void HairWalk::meetClose(int lane) {
     }
 }
 
-/// A place from the receiver, in light space; near it straight space is as good as
-/// linear.
-void HairWalk::toLight(int lane, const Segments& segments, int end, int i,
-                       float (&out)[3]) const {
-    const float z = view_.perspective ? 1.0f / rays_.w[lane] : 1.0f;
-    const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
-    const float scales[2] = {view_.scaleU, view_.scaleV};
-    const float offsets[2] = {view_.offsetU, view_.offsetV};
-    out[2] = (segments.at[end][2][i] - start[2]) * (view_.perspective ? -z * z : -1.0f);
-    for (int axis = 0; axis < 2; ++axis) {
-        out[axis] = (segments.at[end][axis][i] - start[axis]) * z / scales[axis];
-        if (view_.perspective)
-            out[axis] += out[2] * (start[axis] - offsets[axis]) / scales[axis];
-    }
-}
-
-HairWalk::CloseLine HairWalk::lineOf(int lane, const Segments& segments, int i,
-                                     bool own) const {
-    CloseLine line;
-    float end[3];
-    toLight(lane, segments, 0, i, line.from);
-    toLight(lane, segments, 1, i, end);
-    line.along2 = line.both = line.from2 = 0.0f;
-    for (int axis = 0; axis < 3; ++axis) {
-        line.along[axis] = end[axis] - line.from[axis];
-        line.along2 += line.along[axis] * line.along[axis];
-        line.both += line.along[axis] * line.from[axis];
-        line.from2 += line.from[axis] * line.from[axis];
-    }
-    const float z = view_.perspective ? 1.0f / rays_.w[lane] : 1.0f;
-    line.half = segments.half[0][i] * z;
-    line.widen = segments.half[1][i] * z - line.half;
-    line.free = own ? 2.0f : 0.0f;
-    return line;
-}
-
-/// Of rays with such slopes, in light space.
-Vec3 HairWalk::direction(int lane, Vec slopeU, Vec slopeV) const {
+/// A way in straight space from a receiver, in light space times w^2 of a perspective
+/// view; near the receiver straight space is as good as linear.
+Vec3 HairWalk::toLight(int lane, const Vec3& way) const {
     const Floats d;
     const float w = view_.perspective ? rays_.w[lane] : 1.0f;
-    const auto side = [&](Vec slope, float scale, float start, float offset) {
-        const Vec x = hn::Mul(slope, hn::Set(d, w / scale));
-        return view_.perspective ? hn::Sub(x, hn::Set(d, (start - offset) / scale)) : x;
+    const auto across = [&](Vec p, float scale, float start, float offset) {
+        const Vec x = hn::Mul(p, hn::Set(d, w / scale));
+        if (!view_.perspective) return x;
+        return hn::Sub(x, hn::Mul(way.z, hn::Set(d, (start - offset) / scale)));
     };
-    const Vec one = hn::Set(d, 1.0f);
-    const Vec x = side(slopeU, view_.scaleU, rays_.u[lane], view_.offsetU);
-    const Vec y = side(slopeV, view_.scaleV, rays_.v[lane], view_.offsetV);
-    const Vec per =
-        hn::Div(one, hn::Sqrt(hn::Add(hn::Add(hn::Mul(x, x), hn::Mul(y, y)), one)));
-    return {hn::Mul(x, per), hn::Mul(y, per), hn::Neg(per)};
+    return {across(way.x, view_.scaleU, rays_.u[lane], view_.offsetU),
+            across(way.y, view_.scaleV, rays_.v[lane], view_.offsetV), hn::Neg(way.z)};
 }
 
-/// Which rays pass the line no further from it than it is wide, where they are nearest to
-/// it.
-std::uint32_t HairWalk::meets(int lane, const CloseLine& line, bool joinedLeft,
-                              bool joinedRight, const Vec3& ray) const {
+Vec3 HairWalk::fromStart(int lane, const Vec3& place) const {
+    return subtract(place, broadcast({rays_.u[lane], rays_.v[lane], rays_.w[lane]}));
+}
+
+HairWalk::CloseLines HairWalk::linesOf(int lane, const Segments& segments) const {
+    const Floats d;
+    const Vec w = hn::Set(d, view_.perspective ? rays_.w[lane] : 1.0f);
+    CloseLines lines;
+    for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
+        const Vec3 first = segments.load(0, i);
+        const Vec3 from = toLight(lane, fromStart(lane, first));
+        const Vec3 along = toLight(lane, subtract(segments.load(1, i), first));
+        const Vec half = hn::Mul(hn::Load(d, segments.half[0] + i), w);
+        const auto store = [&](const Vec3& v, float(&to)[3][kSegments]) {
+            hn::Store(v.x, d, to[0] + i), hn::Store(v.y, d, to[1] + i);
+            hn::Store(v.z, d, to[2] + i);
+        };
+        store(from, lines.from), store(along, lines.along);
+        hn::Store(dot(along, along), d, lines.along2 + i);
+        hn::Store(dot(along, from), d, lines.both + i);
+        hn::Store(dot(from, from), d, lines.from2 + i);
+        hn::Store(half, d, lines.half + i);
+        hn::Store(hn::Sub(hn::Mul(hn::Load(d, segments.half[1] + i), w), half), d,
+                  lines.widen + i);
+    }
+    return lines;
+}
+
+/// Which rays pass line i no further from it than it is wide, where they are nearest to
+/// it; if the receiver lies on its strand, from a width on.
+std::uint32_t HairWalk::meets(int lane, const CloseSegments& close,
+                              const CloseLines& lines, int i, bool own,
+                              const Vec3& ray) const {
     const Floats d;
     const auto set = [d](float x) { return hn::Set(d, x); };
-    const Vec along = dot(broadcast(line.along), ray);
-    const Vec from = dot(broadcast(line.from), ray);
+    const auto place = [&](const float(&p)[3][kSegments]) {
+        return broadcast({p[0][i], p[1][i], p[2][i]});
+    };
+    const Vec along = dot(place(lines.along), ray), from = dot(place(lines.from), ray);
+    const Vec along2 = set(lines.along2[i]), both = set(lines.both[i]);
     const Vec zero = hn::Zero(d), one = set(1.0f);
     // Across the ray: |along|^2, and along times the way back to the receiver.
-    const Vec length2 = hn::Sub(set(line.along2), hn::Mul(along, along));
-    const Vec back = hn::Sub(hn::Mul(along, from), set(line.both));
+    const Vec length2 = hn::Sub(along2, hn::Mul(along, along));
+    const Vec back = hn::Sub(hn::Mul(along, from), both);
     const Vec at = hn::Div(back, length2);
     const Vec t = hn::Max(zero, hn::Min(at, one));
-    const Vec half = hn::Add(set(line.half), hn::Mul(t, set(line.widen)));
+    const Vec half = hn::Add(set(lines.half[i]), hn::Mul(t, set(lines.widen[i])));
     // |from + t along|^2, and along the ray.
-    const Vec twice = hn::Add(set(2.0f * line.both), hn::Mul(t, set(line.along2)));
-    const Vec distance2 = hn::Add(set(line.from2), hn::Mul(t, twice));
+    const Vec twice = hn::Add(hn::Add(both, both), hn::Mul(t, along2));
+    const Vec distance2 = hn::Add(set(lines.from2[i]), hn::Mul(t, twice));
     const Vec way = hn::Add(from, hn::Mul(t, along));
     const Vec off2 = hn::Sub(distance2, hn::Mul(way, way));
-    const float w = view_.perspective ? rays_.w[lane] : 1.0f;
-    const Vec rise = hn::Mul(hn::Neg(ray.z), hn::Mul(way, set(w * w)));
+    const Vec rise = hn::Mul(hn::Neg(ray.z), way);
     Mask hit = hn::Le(off2, hn::Mul(half, half));
-    hit = hn::And(hit, hn::Gt(way, hn::Mul(half, set(line.free))));
+    hit = hn::And(hit, hn::Gt(way, own ? hn::Add(half, half) : zero));
     hit = hn::And(hit, hn::Gt(rise, set(least_[lane])));
     hit = hn::And(hit, hn::Le(rise, set(rays_.rise[lane])));
-    if (!joinedLeft) hit = hn::And(hit, hn::Gt(at, zero));
-    if (!joinedRight) hit = hn::And(hit, hn::Lt(at, one));
+    if (close.left[i] < 0) hit = hn::And(hit, hn::Gt(at, zero));
+    if (!(close.joinedRight >> i & 1)) hit = hn::And(hit, hn::Lt(at, one));
     return bitsOf(hit);
 }
 
-/// Segments from whose middle lines the receiver is no further than so many half widths,
-/// in light space. Where that is near, straight space is as good as linear.
+/// Segments from whose middle lines the receiver is no further than so many half widths.
 std::uint32_t HairWalk::within(int lane, const Segments& segments, float halves) const {
     const Floats d;
-    const float z = view_.perspective ? 1.0f / rays_.w[lane] : 1.0f;
-    const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
-    const float scales[2] = {view_.scaleU, view_.scaleV};
-    const float slopes[2] = {(start[0] - view_.offsetU) / view_.scaleU,
-                             (start[1] - view_.offsetV) / view_.scaleV};
-    const auto dot = [](const Vec(&p)[3], const Vec(&q)[3]) {
-        return hn::Add(hn::Add(hn::Mul(p[0], q[0]), hn::Mul(p[1], q[1])),
-                       hn::Mul(p[2], q[2]));
-    };
+    const float w = view_.perspective ? rays_.w[lane] : 1.0f;
     std::uint32_t found = 0;
     for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
-        const auto light = [&](int e, Vec(&out)[3]) {
-            const auto from = [&](int axis) {
-                return hn::Sub(hn::Load(d, segments.at[e][axis] + i),
-                               hn::Set(d, start[axis]));
-            };
-            out[2] = hn::Mul(from(2), hn::Set(d, view_.perspective ? -z * z : -1.0f));
-            for (int axis = 0; axis < 2; ++axis) {
-                out[axis] = hn::Mul(from(axis), hn::Set(d, z / scales[axis]));
-                if (view_.perspective)
-                    out[axis] =
-                        hn::Add(out[axis], hn::Mul(out[2], hn::Set(d, slopes[axis])));
-            }
-        };
-        Vec from[3], to[3], way[3], off[3];
-        light(0, from);
-        light(1, to);
-        for (int axis = 0; axis < 3; ++axis)
-            way[axis] = hn::Sub(to[axis], from[axis]);
+        const Vec3 first = segments.load(0, i);
+        const Vec3 from = toLight(lane, fromStart(lane, first));
+        const Vec3 way = toLight(lane, subtract(segments.load(1, i), first));
         const Vec t =
             hn::Min(hn::Max(hn::Neg(hn::Div(dot(from, way), dot(way, way))), hn::Zero(d)),
                     hn::Set(d, 1.0f));
-        for (int axis = 0; axis < 3; ++axis)
-            off[axis] = hn::Add(from[axis], hn::Mul(t, way[axis]));
+        const Vec3 off = add(from, scaled(way, t));
         const Vec half = between(hn::Load(d, segments.half[0] + i),
                                  hn::Load(d, segments.half[1] + i), t);
-        const Vec reach = hn::Mul(half, hn::Set(d, halves * z));
+        const Vec reach = hn::Mul(half, hn::Set(d, halves * w));
         found |= bitsOf(hn::Le(dot(off, off), hn::Mul(reach, reach))) << i;
     }
     return found & segments.present;
@@ -579,9 +551,8 @@ std::uint32_t HairWalk::look(int lane, const Segments& segments,
         const Vec eu = hn::Sub(slope[1][0], slope[0][0]);
         const Vec ev = hn::Sub(slope[1][1], slope[0][1]);
         Vec side[2];
-        const Vec way[3] = {hn::Sub(b[0], a[0]), hn::Sub(b[1], a[1]),
-                            hn::Sub(b[2], a[2])};
-        across(lane, facing(lane, slope[0], eu, ev), way, side);
+        across(lane, facing(lane, slope[0], eu, ev),
+               {hn::Sub(b[0], a[0]), hn::Sub(b[1], a[1]), hn::Sub(b[2], a[2])}, side);
         const Vec per = hn::Div(one, hn::Sub(hn::Mul(eu, side[1]), hn::Mul(ev, side[0])));
         const Vec widest = hn::Max(half[0], half[1]);
         const auto meets = [&](const float* low, const float* high, int axis) {
@@ -628,36 +599,18 @@ HairWalk::Slope HairWalk::facing(int lane, const Vec (&first)[2], Vec eu, Vec ev
 /// Which way a ribbon along `way` that faces a ray reaches from its middle line, in
 /// slopes times rise: the unit normal of both in light space, moved along the ray to
 /// where it is level.
-void HairWalk::across(int lane, Slope ray, const Vec (&way)[3], Vec (&side)[2]) const {
+void HairWalk::across(int lane, Slope ray, const Vec3& way, Vec (&side)[2]) const {
     const Floats d;
-    const float start[2] = {rays_.u[lane], rays_.v[lane]};
-    const float scales[2] = {view_.scaleU, view_.scaleV};
-    const float offsets[2] = {view_.offsetU, view_.offsetV};
-    const Vec w = hn::Set(d, view_.perspective ? rays_.w[lane] : 1.0f);
-    // In light space, but for a factor, as seen from the receiver.
-    const auto light = [&](const Vec(&p)[3], Vec(&out)[3]) {
-        out[2] = hn::Neg(p[2]);
-        for (int axis = 0; axis < 2; ++axis) {
-            out[axis] = hn::Mul(w, hn::Mul(p[axis], hn::Set(d, 1.0f / scales[axis])));
-            if (!view_.perspective) continue;
-            const float place = (start[axis] - offsets[axis]) / scales[axis];
-            out[axis] = hn::Sub(out[axis], hn::Mul(p[2], hn::Set(d, place)));
-        }
+    const Vec3 r = toLight(lane, {ray.u, ray.v, hn::Set(d, 1.0f)});
+    const Vec3 n = HWY_NAMESPACE::cross(r, toLight(lane, way));
+    const Vec per = hn::Div(hn::Set(d, 1.0f), hn::Sqrt(dot(n, n)));
+    // r.z is -1: what n rises, the ray takes back.
+    const auto level = [&](Vec along, Vec back, float scale) {
+        const Vec flat = hn::Add(along, hn::Mul(n.z, back));
+        return hn::Mul(hn::Mul(flat, per), hn::Set(d, scale));
     };
-    Vec r[3], e[3];
-    light({ray.u, ray.v, hn::Set(d, 1.0f)}, r);
-    light(way, e);
-    const Vec n[3] = {hn::Sub(hn::Mul(r[1], e[2]), hn::Mul(r[2], e[1])),
-                      hn::Sub(hn::Mul(r[2], e[0]), hn::Mul(r[0], e[2])),
-                      hn::Sub(hn::Mul(r[0], e[1]), hn::Mul(r[1], e[0]))};
-    const Vec size = hn::Sqrt(
-        hn::Add(hn::Add(hn::Mul(n[0], n[0]), hn::Mul(n[1], n[1])), hn::Mul(n[2], n[2])));
-    const Vec per = hn::Div(hn::Set(d, 1.0f), size);
-    for (int axis = 0; axis < 2; ++axis) {
-        // r[2] is -1: what n rises, the ray takes back.
-        const Vec level = hn::Add(n[axis], hn::Mul(n[2], r[axis]));
-        side[axis] = hn::Mul(hn::Mul(level, per), hn::Set(d, scales[axis]));
-    }
+    side[0] = level(n.x, r.x, view_.scaleU);
+    side[1] = level(n.y, r.y, view_.scaleV);
 }
 
 float HairWalk::depthOf(std::uint16_t opacity) {

@@ -11,7 +11,6 @@
 #endif
 
 #include <hwy/highway.h>
-#include <cmath>
 #include <cstdint>
 #include <cstring>
 
@@ -52,14 +51,6 @@ HWY_INLINE Vec reciprocal(Vec x) {
     return hn::Mul(guess, hn::NegMulAdd(x, guess, two));
 }
 
-/// How far above the plane of a receiver a corner may seem that lies on it, and has been
-/// rounded to a grid of these steps.
-inline float roundingAbove(const RayBundle& rays, int receiver, const float (&step)[3]) {
-    return 0.5f * (std::abs(rays.planeU[receiver]) * step[0] +
-                   std::abs(rays.planeV[receiver]) * step[1] +
-                   std::abs(rays.planeW[receiver]) * step[2]);
-}
-
 /// A point or a direction for each lane.
 struct Vec3 {
     Vec x, y, z;
@@ -71,6 +62,10 @@ HWY_INLINE Vec3 add(const Vec3& a, const Vec3& b) {
 
 HWY_INLINE Vec3 subtract(const Vec3& a, const Vec3& b) {
     return {hn::Sub(a.x, b.x), hn::Sub(a.y, b.y), hn::Sub(a.z, b.z)};
+}
+
+HWY_INLINE Vec3 scaled(const Vec3& a, Vec by) {
+    return {hn::Mul(a.x, by), hn::Mul(a.y, by), hn::Mul(a.z, by)};
 }
 
 /// Without fused multiply-adds: rounded the same on every machine.

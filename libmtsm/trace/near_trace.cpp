@@ -27,12 +27,12 @@
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
 #include "trace/lanes-inl.h"
+#include "trace/triangles-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace mtsm::trace {
 namespace HWY_NAMESPACE {
 
-constexpr int kTriangles = NearChunk::kTriangles;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 /// Of a ray's coordinates, added to its boxes; their rounding is an eighth of it.
 constexpr float kMargin = 0x1p-20f;
@@ -74,6 +74,15 @@ struct Box {
     }
 };
 
+Box boxAround(const Triangles& triangles, int t) {
+    Box b;
+    for (int axis = 0; axis < 3; ++axis) {
+        b.low[axis] = triangles.low[axis][t];
+        b.high[axis] = triangles.high[axis][t];
+    }
+    return b;
+}
+
 /// Which of the children overlap the box.
 std::uint32_t overlapping(const NearBoxes& boxes, const Box& box) {
     const Floats d;
@@ -91,42 +100,6 @@ std::uint32_t overlapping(const NearBoxes& boxes, const Box& box) {
     return found;
 }
 
-/// The corners of a chunk's triangles, and their boxes.
-struct Triangles {
-    alignas(64) float corner[3][3][kTriangles];  // [corner][axis][triangle]
-    alignas(64) float low[3][kTriangles], high[3][kTriangles];
-    const float (&step)[3];  ///< of the grid that the corners are rounded to
-
-    explicit Triangles(const NearChunk& chunk) : step(chunk.step) {
-        const Floats d;
-        const hn::Rebind<std::int32_t, Floats> whole;
-        const hn::Rebind<std::uint16_t, Floats> stored;
-        for (int axis = 0; axis < 3; ++axis) {
-            const Vec first = hn::Set(d, chunk.low[axis]);
-            const Vec size = hn::Set(d, step[axis]);
-            for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
-                Vec p[3];
-                for (int c = 0; c < 3; ++c) {
-                    const auto q = hn::LoadU(stored, chunk.corner[c][axis] + t);
-                    const Vec steps = hn::ConvertTo(d, hn::PromoteTo(whole, q));
-                    p[c] = hn::Add(first, hn::Mul(size, steps));
-                    hn::Store(p[c], d, corner[c][axis] + t);
-                }
-                hn::Store(hn::Min(hn::Min(p[0], p[1]), p[2]), d, low[axis] + t);
-                hn::Store(hn::Max(hn::Max(p[0], p[1]), p[2]), d, high[axis] + t);
-            }
-        }
-    }
-    [[nodiscard]] Box box(int t) const {
-        Box b;
-        for (int axis = 0; axis < 3; ++axis) {
-            b.low[axis] = low[axis][t];
-            b.high[axis] = high[axis][t];
-        }
-        return b;
-    }
-};
-
 /// Seen from a receiver: the planes through the edges of 16 triangles, and how far away
 /// their planes are.
 struct SeenTriangles {
@@ -138,9 +111,8 @@ struct SeenTriangles {
     SeenTriangles(const Triangles& triangles, const float (&start)[3]) {
         const Floats d;
         for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
-            const auto load = [&](const float(&p)[3][kTriangles]) {
-                return Vec3{hn::Load(d, p[0] + t), hn::Load(d, p[1] + t),
-                            hn::Load(d, p[2] + t)};
+            const auto load = [&](const Triangles::Axes& p) {
+                return Triangles::load(d, p, t);
             };
             const Vec3 origin = broadcast(start);
             Vec3 corners[3], edges[3];
@@ -348,7 +320,7 @@ void Walk::chunk(const NearChunk& chunk, std::uint32_t lanes) {
         const SeenTriangles seen(triangles, start);
         for (; found && (lanesLeft_ >> lane & 1); found &= found - 1) {
             const int t = std::countr_zero(found);
-            cross(lane, seen, t, triangles.box(t));
+            cross(lane, seen, t, boxAround(triangles, t));
         }
     }
 }
@@ -369,8 +341,7 @@ std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
                                       hn::Set(d, low_[axis][lane])));
         }
         if (rays_.hasPlanes) {
-            const float least =
-                std::max(height_, roundingAbove(rays_, lane, triangles.step));
+            const float least = std::max(height_, triangles.roundingAbove(rays_, lane));
             Vec highest = hn::Set(d, -kInfinity);
             for (const auto& corner : triangles.corner) {
                 Vec height = hn::Zero(d);

@@ -25,13 +25,13 @@
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
 #include "trace/lanes-inl.h"
+#include "trace/triangles-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace mtsm::trace {
 namespace HWY_NAMESPACE {
 namespace {
 
-constexpr int kTriangles = NearChunk::kTriangles;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 /// Of a crossing's coordinates: how far outside its triangle's box it may seem.
 constexpr float kOwnMargin = 0x1p-20f;
@@ -74,38 +74,6 @@ struct Pyramid {
             hn::Le(least, most),
             hn::And(meets(u, lastU, slopes.lowU, slopes.highU, low.x, high.x),
                     meets(v, lastV, slopes.lowV, slopes.highV, low.y, high.y)));
-    }
-};
-
-/// A chunk's triangles.
-struct Triangles {
-    alignas(64) float corner[3][3][kTriangles];  // [corner][axis][triangle]
-    alignas(64) float low[3][kTriangles], high[3][kTriangles];
-    const float (&step)[3];  ///< of the grid that the corners are rounded to
-
-    explicit Triangles(const NearChunk& chunk) : step(chunk.step) {
-        const Floats d;
-        const hn::Rebind<std::int32_t, Floats> whole;
-        const hn::Rebind<std::uint16_t, Floats> stored;
-        for (int axis = 0; axis < 3; ++axis) {
-            const Vec first = hn::Set(d, chunk.low[axis]);
-            const Vec size = hn::Set(d, step[axis]);
-            for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
-                Vec p[3];
-                for (int c = 0; c < 3; ++c) {
-                    const auto q = hn::LoadU(stored, chunk.corner[c][axis] + t);
-                    const Vec steps = hn::ConvertTo(d, hn::PromoteTo(whole, q));
-                    p[c] = hn::Add(first, hn::Mul(size, steps));
-                    hn::Store(p[c], d, corner[c][axis] + t);
-                }
-                hn::Store(hn::Min(hn::Min(p[0], p[1]), p[2]), d, low[axis] + t);
-                hn::Store(hn::Max(hn::Max(p[0], p[1]), p[2]), d, high[axis] + t);
-            }
-        }
-    }
-    using Axes = float[3][kTriangles];
-    [[nodiscard]] static Vec3 load(Floats d, const Axes& p, std::size_t t) {
-        return {hn::Load(d, p[0] + t), hn::Load(d, p[1] + t), hn::Load(d, p[2] + t)};
     }
 };
 
@@ -458,7 +426,7 @@ std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
         if (rays_.hasPlanes) {
             const Vec3 normal = {set(rays_.planeU), set(rays_.planeV), set(rays_.planeW)};
             const float least =
-                std::max(options_.height, roundingAbove(rays_, lane, triangles.step));
+                std::max(options_.height, triangles.roundingAbove(rays_, lane));
             Vec highest = hn::Set(d, -kInfinity);
             for (const auto& corner : triangles.corner) {
                 const Vec3 p = Triangles::load(d, corner, t);

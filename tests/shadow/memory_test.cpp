@@ -6,8 +6,8 @@
 #include <new>
 #include <vector>
 
-#include "map_fixture.h"
 #include "mtsm/shadow.h"
+#include "shadow/released.h"
 
 using namespace mtsm;
 
@@ -91,32 +91,26 @@ void* operator new[](size_t n, align_val_t a, const nothrow_t&) noexcept {
 
 namespace {
 
-ShadowMap halfPlane(float v) {
-    MapInfo info = test::plainInfo(32, 32, 16);
-    info.light.shape = LightShape::disk;
-    info.light.radius = 0.2;
-    info.light.direction = {0, 0, -1};
-    info.bias = 0.05f;
-    const ShadowMap map = test::mapOf(
-        info, test::plainProjection(32, 32), [v](std::uint32_t x, std::uint32_t) {
-            return x < 16 ? std::vector<test::TestLayer>{{2.0f, v, 1}}
-                          : std::vector<test::TestLayer>{};
-        });
-    return v > 0.0f ? map : test::opaqueOf(map);
+ShadowMap halfPlane(bool opaque) {
+    return test::halfDark(opaque ? 0.0f : 0.5f, Translucent::sheets);
+}
+
+/// From each point to the light's side.
+std::vector<ShadowRay> raysFrom(const std::vector<glm::dvec3>& points) {
+    std::vector<ShadowRay> rays;
+    for (const glm::dvec3& p : points)
+        rays.push_back({p, {0, 0, 1}, 4.0});
+    return rays;
 }
 
 }  // namespace
 
 TEST_CASE("queries that run out of memory anywhere are answered ray by ray", "[shadow]") {
     for (const bool opaque : {true, false}) {
-        const auto make = [&] { return halfPlane(opaque ? 0.0f : 0.5f); };
+        const auto make = [&] { return halfPlane(opaque); };
         const std::size_t count = 300;
-        std::vector<glm::dvec3> points;
-        std::vector<ShadowRay> rays;
-        for (std::size_t i = 0; i < count; ++i) {
-            points.push_back({3.8 * (double(i) / count - 0.5), 0.1, -4});
-            rays.push_back({points.back(), {0, 0, 1}, 4.0});
-        }
+        const std::vector<glm::dvec3> points = test::acrossTheEdge(int(count));
+        const std::vector<ShadowRay> rays = raysFrom(points);
         ShadowOptions scalar;
         scalar.method = ShadowMethod::scalar;
         std::vector<float> expected(count), found(count), visible(count);
@@ -159,7 +153,7 @@ TEST_CASE("layers go only if there was memory for what takes their place", "[sha
     for (const bool opaque : {true, false}) {
         bool refused = false, done = false;
         for (long given = 0; given < 4000 && !done; given += 1 + given / 16) {
-            ShadowMap map = halfPlane(opaque ? 0.0f : 0.5f);
+            ShadowMap map = halfPlane(opaque);
             const std::uint64_t whole = map.memoryBytes();
             left = given;
             const Status status = releaseLayers(map);
@@ -182,15 +176,11 @@ TEST_CASE("layers go only if there was memory for what takes their place", "[sha
 TEST_CASE("without layers queries that run out of memory are answered all the same",
           "[shadow]") {
     for (const bool opaque : {true, false}) {
-        ShadowMap map = halfPlane(opaque ? 0.0f : 0.5f);
+        ShadowMap map = halfPlane(opaque);
         const AreaLight light = map.info().light;
         const std::size_t count = 300;
-        std::vector<glm::dvec3> points;
-        std::vector<ShadowRay> rays;
-        for (std::size_t i = 0; i < count; ++i) {
-            points.push_back({3.8 * (double(i) / count - 0.5), 0.1, -4});
-            rays.push_back({points.back(), {0, 0, 1}, 4.0});
-        }
+        const std::vector<glm::dvec3> points = test::acrossTheEdge(int(count));
+        const std::vector<ShadowRay> rays = raysFrom(points);
         REQUIRE(releaseLayers(map));
         std::vector<float> expected(count), clear(count), found(count), visible(count);
         shadowFactors(map, light, points.data(), nullptr, count, expected.data());

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <catch2/catch.hpp>
 #include <cmath>
-#include <cstring>
 #include <glm/geometric.hpp>
 #include <vector>
 
@@ -11,9 +10,10 @@
 #include "mtsm/bake.h"
 #include "mtsm/shadow.h"
 #include "random.h"
+#include "shadow/released.h"
 
 using namespace mtsm;
-using test::Random;
+using test::Random, test::released, test::sameBits;
 
 namespace {
 
@@ -105,14 +105,6 @@ ShadowMap bakeOf(const Kind& kind, LightShape shape, bool nearField) {
     return std::move(baked->map);
 }
 
-ShadowMap released(const ShadowMap& map) {
-    ShadowMap copy = map;
-    const Status done = releaseLayers(copy);
-    if (!done) FAIL(done.error().message);
-    REQUIRE(!copy.hasLayers());
-    return copy;
-}
-
 struct Points {
     std::vector<glm::dvec3> at, normals;
 };
@@ -134,12 +126,6 @@ Points around(Random& random, const Kind& kind, int count) {
     points.at[7].x = NAN;
     points.normals[11].y = INFINITY;
     return points;
-}
-
-template <typename T>
-bool sameBits(const std::vector<T>& a, const std::vector<T>& b) {
-    return a.size() == b.size() &&
-           std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0;
 }
 
 struct Answers {

@@ -2,46 +2,19 @@
 // the same does harm, and copies are maps of their own.
 #include <catch2/catch.hpp>
 #include <cmath>
-#include <cstring>
 #include <glm/geometric.hpp>
 #include <thread>
 #include <vector>
 
-#include "map_fixture.h"
 #include "mtsm/shadow.h"
 #include "mtsm/writer.h"
 #include "random.h"
+#include "shadow/released.h"
 
 using namespace mtsm;
-using test::Random;
+using test::acrossTheEdge, test::halfDark, test::Random, test::released, test::sameBits;
 
 namespace {
-
-/// A half-plane two units in front of the eye, in one face or in all six.
-ShadowMap halfDark(float v, Translucent translucent, bool cube = false) {
-    MapInfo info = test::plainInfo(32, 32, 16);
-    info.light.shape = cube ? LightShape::sphere : LightShape::disk;
-    info.light.radius = 0.2;
-    info.light.direction = {0, 0, -1};
-    info.bias = 0.05f;
-    info.translucent = translucent;
-    const auto views = cube ? test::cubeProjections(32)
-                            : std::vector<Projection>{test::plainProjection(32, 32)};
-    const ShadowMap map =
-        test::mapOf(info, views, [v](std::uint32_t, std::uint32_t x, std::uint32_t) {
-            return x < 16 ? std::vector<test::TestLayer>{{2.0f, v, 1}}
-                          : std::vector<test::TestLayer>{};
-        });
-    return v > 0.0f ? map : test::opaqueOf(map);
-}
-
-ShadowMap released(const ShadowMap& map) {
-    ShadowMap copy = map;
-    const Status done = releaseLayers(copy);
-    if (!done) FAIL(done.error().message);
-    REQUIRE(!copy.hasLayers());
-    return copy;
-}
 
 std::vector<float> answers(const ShadowMap& map, const std::vector<glm::dvec3>& points,
                            const ShadowOptions& options = {}) {
@@ -49,17 +22,6 @@ std::vector<float> answers(const ShadowMap& map, const std::vector<glm::dvec3>& 
     shadowFactors(map, map.info().light, points.data(), nullptr, points.size(),
                   out.data(), options);
     return out;
-}
-
-bool sameBits(const std::vector<float>& a, const std::vector<float>& b) {
-    return a.size() == b.size() && std::memcmp(a.data(), b.data(), 4 * a.size()) == 0;
-}
-
-std::vector<glm::dvec3> acrossTheEdge() {
-    std::vector<glm::dvec3> points;
-    for (int i = 0; i < 600; ++i)
-        points.push_back({3.8 * (i / 600.0 - 0.5), 0.1, -4});
-    return points;
 }
 
 }  // namespace
@@ -164,7 +126,7 @@ TEST_CASE("a map without layers is queried by many threads, copies beside the or
           "[shadow][threads]") {
     ShadowMap map = halfDark(0.5f, Translucent::sheets);
     const ShadowMap whole = map;
-    const std::vector<glm::dvec3> points = acrossTheEdge();
+    const std::vector<glm::dvec3> points = acrossTheEdge(600);
     // The copy is asked, by the definition as well, while the original lets go.
     std::vector<float> found[4];
     std::thread beside([&] {
