@@ -383,8 +383,9 @@ class Traversal {
     /// The patch as rays see it.
     struct Seen {
         const Patch& patch;
-        const CoverPlane* cover;
+        const std::uint16_t* cover;
         float cornerU, cornerV, perTexel;
+        int column, columns, row, rows;  // texels of its box, in the tile
         std::uint32_t number;
     };
 
@@ -393,14 +394,16 @@ class Traversal {
     /// those that surely go through it; the patch's children still count for the others.
     template <Kind kKind>
     void test(const Patch& p, std::uint64_t groups, std::uint32_t lanes) {
-        const auto texel = float(1u << p.level);
-        const float side = kTexels * texel;
         const Seen seen{p,
                         tree_.covers() + p.cover,
-                        std::floor(p.u / side) * side,
-                        std::floor(p.v / side) * side,
-                        1.0f / texel,
-                        (p.cover * 0x9e3779b1u) >> 28};
+                        p.cornerU(),
+                        p.cornerV(),
+                        1.0f / p.texelSide(),
+                        p.firstColumn(),
+                        p.columns(),
+                        p.firstRow(),
+                        p.rows(),
+                        (p.children * 0x9e3779b1u) >> 28};
         for (lanes &= lanes_; lanes; lanes &= lanes - 1) {
             const int receiver = std::countr_zero(lanes);
             Batch batch;
@@ -468,25 +471,29 @@ class Traversal {
         const Vec u0 = hn::Set(kF, (r.startU - p.cornerU) * p.perTexel);
         const Vec v0 = hn::Set(kF, (r.startV - p.cornerV) * p.perTexel);
         const Vec u = hn::MulAdd(r.du, step, u0), v = hn::MulAdd(r.dv, step, v0);
-        const Vec none = hn::Zero(kF), all = hn::Set(kF, float(kTexels));
+        const auto inside = [](Vec x, int first, int count) {
+            return hn::And(hn::Ge(x, hn::Set(kF, float(first))),
+                           hn::Lt(x, hn::Set(kF, float(first + count))));
+        };
         auto hit = hn::And(hn::Gt(s, r.begin), hn::Le(s, hn::Set(kF, 1.0f)));
-        hit = hn::And(hit, hn::And(hn::Ge(u, none), hn::Lt(u, all)));
-        hit = hn::And(hit, hn::And(hn::Ge(v, none), hn::Lt(v, all)));
+        hit = hn::And(hit, inside(u, p.column, p.columns));
+        hit = hn::And(hit, inside(v, p.row, p.rows));
         const std::uint32_t hits = bitsOf(hit) & r.open;
         if (hits == 0) return 0;
         const VecI fifteen = hn::Set(kI, kTexels - 1);
         const VecI x = hn::And(hn::ConvertTo(kI, u), fifteen);
-        const VecI y = hn::And(hn::ConvertTo(kI, v), fifteen);
+        const VecI row = hn::Sub(hn::ConvertTo(kI, v), hn::Set(kI, p.row));
+        const VecI y = hn::And(row, fifteen);
         const VecI bit = hn::Shl(hn::Set(kI, 1), x);
         if (!p.patch.shared)
-            return hits & bitsOf(hn::Ne(hn::And(rowsAt(*p.cover, y), bit), hn::Zero(kI)));
+            return hits & bitsOf(hn::Ne(hn::And(rowsAt(p.cover, y), bit), hn::Zero(kI)));
         return hits & sharesAbove(p, r, y, bit);
     }
 
     /// Rays that meet the pixels of a bumpy patch, each of which lies on a plane of its
     /// own.
     std::uint32_t metBumps(const Seen& p, const Batch& r) const {
-        const BumpPlane bumps = std::bit_cast<BumpPlane>(*p.cover);
+        const BumpPlane bumps = tree_.bumps(p.patch.cover);
         const Vec inverse = perApproach(p, r);
         const float rise = riseAt(p, r), perStep = p.patch.residual / BumpPlane::kSteps;
         constexpr float kSide = BumpPlane::kSide;
@@ -510,16 +517,17 @@ class Traversal {
         return bitsOf(hit) & r.open;
     }
 
-    static VecI rowsAt(const CoverPlane& cover, VecI y) {
+    /// Of 16 rows.
+    static VecI rowsAt(const std::uint16_t* cover, VecI y) {
         if constexpr (kN == kLanes) {
             const hn::Rebind<std::uint16_t, Ints> halves;
-            const VecI rows = hn::PromoteTo(kI, hn::LoadU(halves, cover.row));
+            const VecI rows = hn::PromoteTo(kI, hn::LoadU(halves, cover));
             return hn::TableLookupLanes(rows, hn::IndicesFromVec(kI, y));
         } else {
             alignas(64) std::int32_t at[kN];
             hn::Store(y, kI, at);
             for (std::int32_t& row : at)
-                row = cover.row[row];
+                row = cover[row];
             return hn::Load(kI, at);
         }
     }
@@ -529,7 +537,7 @@ class Traversal {
         VecI share = hn::Zero(kI);
         for (int plane = 0; plane < 4; ++plane) {
             const auto covered =
-                hn::Ne(hn::And(rowsAt(p.cover[plane], y), bit), hn::Zero(kI));
+                hn::Ne(hn::And(rowsAt(p.cover + plane * p.rows, y), bit), hn::Zero(kI));
             share = hn::Add(share, hn::IfThenElseZero(covered, hn::Set(kI, 1 << plane)));
         }
         const hn::Rebind<std::uint8_t, Ints> bytes;

@@ -5,8 +5,9 @@
 #include <array>
 #include <bit>
 #include <cmath>
-#include <map>
 #include <new>
+#include <span>
+#include <utility>
 
 #include "base/lazy.h"
 #include "base/parallel.h"
@@ -96,6 +97,7 @@ struct Node {
     Box box{};
     Moments moments;
     std::uint32_t children = 0, childGroups = 0, cover = 0;
+    std::uint32_t masks = 0;  // how many PixelMasks it has
     std::uint8_t level = 0;
     bool shared = false, sheet = false, bumpy = false;
 
@@ -118,29 +120,64 @@ float mismatch(const Plane& plane, const Node& node) {
     return float(most) + node.residual;
 }
 
-/// Full-resolution coverage of a tile of `side` pixels: rows of side / 16 words.
-using Mask = std::vector<std::uint16_t>;
-
-/// What one task makes. Indices of groups and covers count from the task's own first one.
-struct Made {
-    std::vector<Node> nodes;
-    std::vector<std::uint16_t> masks;    // [node][side][side / 16]
-    std::vector<std::uint32_t> perTile;  // nodes of each tile
-    std::vector<PatchGroup> groups;
-    std::vector<CoverPlane> covers;
+/// The pixels that a node covers in one tile of level 0.
+struct PixelMask {
+    std::uint16_t x, y;     // tile
+    std::uint16_t covered;  // pixels
+    std::uint16_t row[kTexels];
 };
 
-/// All nodes of a level.
-struct LevelNodes {
-    std::uint32_t side = 0, columns = 0, rows = 0;
+struct Nodes {
     std::vector<Node> nodes;
-    std::vector<std::uint16_t> masks;
-    std::vector<std::uint32_t> begin;  // [tiles + 1]
+    std::vector<PixelMask> masks;  // of each node in turn
 
-    [[nodiscard]] std::size_t maskWords() const {
-        return std::size_t(side) * (side / kTexels);
+    void clear() { nodes.clear(), masks.clear(); }
+};
+
+/// What a task adds to the tree.
+struct Parts {
+    std::vector<PatchGroup> groups;
+    std::vector<std::uint16_t> covers;
+};
+
+/// A row of a level's tiles. Its own groups and covers are numbered from 0 and from
+/// kFullRows until it is known where they are to lie in the tree.
+struct TileRow {
+    Nodes all;
+    std::vector<std::uint32_t> begin{0};      // [tiles + 1] in all.nodes
+    std::vector<std::uint32_t> maskBegin{0};  // [tiles + 1] in all.masks
+    Parts parts;
+    std::size_t firstGroup = 0, firstCover = 0;
+    std::uint64_t samples = 0, pieces = 0;  // of level 0
+
+    void endTile() {
+        begin.push_back(std::uint32_t(all.nodes.size()));
+        maskBegin.push_back(std::uint32_t(all.masks.size()));
     }
 };
+
+struct LevelRows {
+    std::uint32_t side = 0, columns = 0;
+    std::vector<TileRow> rows;
+};
+
+/// Where PatchTree::covers begins: for every range of columns as many equal rows as a
+/// patch can have, for all those that fill their boxes.
+constexpr std::uint32_t kFullRows = kTexels * (kTexels + 1) / 2 * kTexels;
+
+/// Of texels [x0, x1) of each row.
+std::uint32_t fullCover(std::uint32_t x0, std::uint32_t x1) {
+    return ((x1 - 1) * x1 / 2 + x0) * kTexels;
+}
+
+std::vector<std::uint16_t> fullRows() {
+    std::vector<std::uint16_t> rows;
+    for (std::uint32_t x1 = 1; x1 <= kTexels; ++x1) {
+        for (std::uint32_t x0 = 0; x0 < x1; ++x0)
+            rows.insert(rows.end(), kTexels, std::uint16_t((1u << x1) - (1u << x0)));
+    }
+    return rows;
+}
 
 constexpr float kNever = -HUGE_VALF;
 
@@ -153,9 +190,9 @@ PatchGroup emptyGroup() {
 /// Texels that are covered in part reach out of the pixels' box.
 Box wholeTexels(const Node& node) {
     if (!node.shared) return node.box;
-    const auto texel = float(1u << node.level);
-    const auto down = [texel](float x) { return std::floor(x / texel) * texel; };
-    const auto up = [texel](float x) { return std::ceil(x / texel) * texel; };
+    const std::uint32_t texel = 1u << node.level;
+    const auto down = [texel](float x) { return float(std::uint32_t(x) & ~(texel - 1)); };
+    const auto up = [&](float x) { return down(x + float(texel - 1)); };
     return {down(node.box.u0), down(node.box.v0), up(node.box.u1), up(node.box.v1)};
 }
 
@@ -219,8 +256,8 @@ struct Footprint {
 // -------------------------------------------------------------------------------
 
 struct Sample {
-    std::uint8_t pixel = 0;  // within the tile, row-major
-    float w = 0;
+    std::uint8_t x, y;  // within the tile
+    float w;
 };
 
 /// Pieces of surface in one tile of 16 x 16 pixels.
@@ -232,46 +269,78 @@ class TilePieces {
         perspective_ = map.projection(face).kind == ProjectionKind::perspective;
     }
 
-    void run(std::uint32_t x, std::uint32_t y, Made& made) {
-        u_ = float(x), v_ = float(y);
-        gather(x, y);
-        const std::size_t before = made.nodes.size();
-        if (!samples_.empty()) {
-            connect();
-            separate();
-            for (std::size_t piece = 0; piece + 1 < pieceBegin_.size(); ++piece) {
-                const auto first = ordered_.begin() + pieceBegin_[piece];
-                const auto last = ordered_.begin() + pieceBegin_[piece + 1];
-                const std::vector<Sample> samples(first, last);
-                made.nodes.push_back(emit(samples, {0, 0, kTexels}, {}, made));
-                std::array<std::uint16_t, kTexels> rows{};
-                for (const Sample& s : samples)
-                    rows[s.pixel >> 4] |= std::uint16_t(1u << (s.pixel & 15));
-                made.masks.insert(made.masks.end(), rows.begin(), rows.end());
-            }
+    /// Appends those of tile (x, y).
+    void run(std::uint32_t x, std::uint32_t y, Nodes& made, Parts& parts) {
+        corner_ = {x * kTexels, y * kTexels};
+        gather();
+        if (samples_.empty()) return;
+        for (std::uint32_t i = 0; i < kTexels; ++i)
+            u_[i] = corner_.x + i + 0.5, v_[i] = corner_.y + i + 0.5;
+        connect();
+        separate();
+        for (std::size_t piece = 0; piece + 1 < pieceBegin_.size(); ++piece) {
+            const std::span<const Sample> samples(
+                &ordered_[pieceBegin_[piece]], &ordered_[pieceBegin_[piece + 1] - 1] + 1);
+            made.nodes.push_back(emit(samples, {0, 0, kTexels}, {}, parts));
+            made.nodes.back().masks = 1;
+            PixelMask mask{
+                std::uint16_t(x), std::uint16_t(y), std::uint16_t(samples.size()), {}};
+            addBits(samples, mask.row);
+            made.masks.push_back(mask);
         }
-        made.perTile.push_back(std::uint32_t(made.nodes.size() - before));
     }
+
+    [[nodiscard]] std::size_t samples() const { return samples_.size(); }
 
   private:
     struct Square {
         int x, y, size;
     };
+    static constexpr std::uint32_t kNone = 0xffffffffu;
 
-    void gather(std::uint32_t x0, std::uint32_t y0) {
+    /// Samples by pixel, and how far from each its neighbours may be.
+    void gather() {
         samples_.clear();
+        reach_.clear();
         const std::uint32_t width = map_.info().width, height = map_.info().height;
-        for (std::uint32_t p = 0; p < 256; ++p) {
-            begin_[p] = std::uint32_t(samples_.size());
-            const std::uint32_t x = x0 + p % kTexels, y = y0 + p / kTexels;
-            if (x >= width || y >= height) continue;
-            const PixelLayers pixel = map_.pixel(face_, x, y);
-            for (std::uint32_t i = 0; i < pixel.count; ++i)
-                samples_.push_back(
-                    {std::uint8_t(p),
-                     perspective_ ? std::min(1.0f / pixel.z[i], 1e30f) : -pixel.z[i]});
+        for (std::uint32_t row = 0; row < kTexels; ++row) {
+            const std::uint32_t y = corner_.y + row;
+            std::uint32_t column = 0;
+            while (y < height && column < kTexels && corner_.x + column < width)
+                column += gatherRow(column, row);
+            const auto end = std::uint32_t(samples_.size());
+            std::fill(&begin_[row * kTexels + column], &begin_[row * kTexels] + kTexels,
+                      end);
         }
         begin_[256] = std::uint32_t(samples_.size());
+    }
+
+    /// From this pixel to the end of the row, or of the map's tile; how many pixels.
+    std::uint32_t gatherRow(std::uint32_t column, std::uint32_t row) {
+        const std::uint32_t size = map_.info().tileSize;
+        const std::uint32_t x = corner_.x + column, y = corner_.y + row;
+        const Tile& tile = map_.tile(face_, x / size, y / size);
+        const std::uint32_t width = map_.tileWidth(x / size);
+        const std::uint32_t pixels = std::min(kTexels - column, width - x % size);
+        std::uint32_t* begin = &begin_[row * kTexels + column];
+        if (tile.empty()) {
+            std::fill_n(begin, pixels, std::uint32_t(samples_.size()));
+            return pixels;
+        }
+        const std::uint32_t* from = &tile.begin[std::size_t(y % size) * width + x % size];
+        std::size_t at = samples_.size();
+        samples_.resize(at + from[pixels] - from[0]);
+        reach_.resize(samples_.size());
+        for (std::uint32_t i = 0; i < pixels; ++i) {
+            begin[i] = std::uint32_t(at);
+            for (std::uint32_t k = from[i]; k < from[i + 1]; ++k, ++at) {
+                const float z = tile.z[k];
+                const float w = perspective_ ? std::min(1.0f / z, 1e30f) : -z;
+                samples_[at] = {std::uint8_t(column + i), std::uint8_t(row), w};
+                reach_[at] = kSteepest * footprint_.at(w);
+            }
+        }
+        return pixels;
     }
 
     std::uint32_t root(std::uint32_t i) {
@@ -287,325 +356,458 @@ class TilePieces {
         const std::uint32_t end = begin_[q + 1];
         for (std::uint32_t i = begin_[p]; i < begin_[p + 1] && j < end; ++i) {
             const float w = samples_[i].w;
-            while (j + 1 < end &&
-                   std::abs(samples_[j + 1].w - w) <= std::abs(samples_[j].w - w))
-                ++j;
-            if (std::abs(samples_[j].w - w) > kSteepest * footprint_.at(w)) continue;
-            parent_[root(i)] = root(j);
+            float away = std::abs(samples_[j].w - w);
+            for (; j + 1 < end; ++j) {
+                const float next = std::abs(samples_[j + 1].w - w);
+                if (next > away) break;
+                away = next;
+            }
+            if (away > reach_[i]) continue;
+            if (label_[i] == kNone)
+                label_[i] = label_[j];
+            else if (label_[i] != label_[j])
+                parent_[root(label_[i])] = root(label_[j]);
             ++j;
         }
     }
 
+    /// Labels the samples; those whose labels have one root are connected.
     void connect() {
-        parent_.resize(samples_.size());
-        for (std::uint32_t i = 0; i < parent_.size(); ++i)
-            parent_[i] = i;
+        label_.assign(samples_.size(), kNone);
+        parent_.clear();
         for (std::uint32_t p = 0; p < 256; ++p) {
             if (begin_[p] == begin_[p + 1]) continue;
             if (p % kTexels > 0) join(p, p - 1);
             if (p >= kTexels) join(p, p - kTexels);
+            for (std::uint32_t i = begin_[p]; i < begin_[p + 1]; ++i) {
+                if (label_[i] != kNone) continue;
+                label_[i] = std::uint32_t(parent_.size());
+                parent_.push_back(label_[i]);
+            }
         }
     }
 
     /// Orders the samples by piece. A piece has one sample of a pixel: of those that are
     /// connected all the same, the second makes another piece, and so on.
     void separate() {
-        first_.assign(samples_.size(), kNone);
-        seen_.assign(samples_.size(), {kNone, 0});
-        std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> further;
-        std::vector<std::uint32_t>& pieceOf = pieceOf_;
-        pieceOf.resize(samples_.size());
-        std::uint32_t pieces = 0;
-        for (std::uint32_t i = 0; i < samples_.size(); ++i) {
-            const std::uint32_t r = root(i), pixel = samples_[i].pixel;
-            auto& [last, rank] = seen_[r];
-            rank = last == pixel ? rank + 1 : 0;
-            last = pixel;
-            if (rank == 0) {
-                if (first_[r] == kNone) first_[r] = pieces++;
-                pieceOf[i] = first_[r];
-            } else {
-                const auto [it, isNew] = further.try_emplace({r, rank}, pieces);
-                if (isNew) ++pieces;
-                pieceOf[i] = it->second;
+        last_.assign(parent_.size(), {});
+        further_.clear();
+        pieceBegin_.assign(1, 0);
+        for (std::uint32_t p = 0; p < 256; ++p) {
+            for (std::uint32_t i = begin_[p]; i < begin_[p + 1]; ++i) {
+                Connected& c = last_[root(label_[i])];
+                std::uint32_t& piece = c.pixel == p ? further_[c.piece] : c.first;
+                if (piece == kNone) {
+                    piece = std::uint32_t(further_.size());
+                    label_[i] = c.piece = piece;
+                    further_.push_back(kNone);
+                    pieceBegin_.push_back(0);
+                } else {
+                    label_[i] = c.piece = piece;
+                }
+                c.pixel = p;
+                ++pieceBegin_[label_[i] + 1];
             }
         }
-        pieceBegin_.assign(pieces + 1, 0);
-        for (const std::uint32_t piece : pieceOf)
-            ++pieceBegin_[piece + 1];
-        for (std::uint32_t piece = 0; piece < pieces; ++piece)
-            pieceBegin_[piece + 1] += pieceBegin_[piece];
+        for (std::size_t piece = 1; piece < pieceBegin_.size(); ++piece)
+            pieceBegin_[piece] += pieceBegin_[piece - 1];
         ordered_.resize(samples_.size());
-        std::vector<std::uint32_t> next(pieceBegin_.begin(), pieceBegin_.end() - 1);
+        next_.assign(pieceBegin_.begin(), pieceBegin_.end() - 1);
         for (std::uint32_t i = 0; i < samples_.size(); ++i)
-            ordered_[next[pieceOf[i]]++] = samples_[i];
+            ordered_[next_[label_[i]]++] = samples_[i];
     }
 
     /// A patch of these samples; if it is not flat, its quarters, or its bumps.
-    Node emit(const std::vector<Sample>& samples, Square square, Slope likely,
-              Made& made) {
+    Node emit(std::span<const Sample> samples, Square square, Slope likely,
+              Parts& parts) {
         Node node = flatNode(samples, likely);
-        likely = {node.plane.gradientU, node.plane.gradientV};
         const bool flat = node.residual <= flatness_ * footprint_.at(node.plane.w);
         if (!flat && square.size == BumpPlane::kSide) {
             roundBounds(node);
-            addBumps(samples, square, node, made);
+            addBumps(samples, square, node, parts);
             return node;
         }
         if (!flat) {
-            std::vector<Node> quarters;
-            const int half = square.size / 2;
-            std::array<std::vector<Sample>, 4> inside;
-            for (const Sample& s : samples) {
-                const bool right = (s.pixel & 15) >= square.x + half;
-                const bool lower = (s.pixel >> 4) >= square.y + half;
-                inside[right + 2 * lower].push_back(s);
-            }
-            for (int q = 0; q < 4; ++q) {
-                const Square part{square.x + (q & 1) * half, square.y + (q >> 1) * half,
-                                  half};
-                if (!inside[q].empty())
-                    quarters.push_back(emit(inside[q], part, likely, made));
-            }
-            if (quarters.size() == 1) return quarters[0];
-            for (const Node& quarter : quarters)
-                node.residual = std::max(node.residual, mismatch(node.plane, quarter));
-            for (const Node& quarter : quarters) {  // they may be steeper
-                node.low = std::min(node.low, quarter.low);
-                node.high = std::max(node.high, quarter.high);
+            std::array<Node, 4> quarters;
+            const std::size_t count =
+                divide(samples, square, {node.plane.gradientU, node.plane.gradientV},
+                       quarters, parts);
+            if (count == 1) return quarters[0];
+            for (std::size_t q = 0; q < count; ++q)
+                node.residual =
+                    std::max(node.residual, mismatch(node.plane, quarters[q]));
+            for (std::size_t q = 0; q < count; ++q) {  // they may be steeper
+                node.low = std::min(node.low, quarters[q].low);
+                node.high = std::max(node.high, quarters[q].high);
             }
             const PatchTree::Entry children =
-                append(made.groups, quarters.size(),
+                append(parts.groups, count,
                        [&](std::size_t i) -> const Node& { return quarters[i]; });
             node.children = children.group;
             node.childGroups = children.groups;
         }
         roundBounds(node);
-        node.cover = std::uint32_t(made.covers.size());
-        CoverPlane plane{};
-        for (const Sample& s : samples)
-            plane.row[s.pixel >> 4] |= std::uint16_t(1u << (s.pixel & 15));
-        made.covers.push_back(plane);
+        addCover(samples, node, parts);
         return node;
     }
 
-    void addBumps(const std::vector<Sample>& samples, Square square, Node& node,
-                  Made& made) const {
+    /// Patches of the quarters of a square; how many.
+    std::size_t divide(std::span<const Sample> samples, Square square, Slope likely,
+                       std::array<Node, 4>& quarters, Parts& parts) {
+        const int half = square.size / 2;
+        std::array<Sample, 256> sorted;
+        std::array<std::size_t, 5> end{};  // of the quarter before
+        const auto quarterOf = [&](const Sample& s) {
+            return std::size_t(s.x >= square.x + half) +
+                   2 * std::size_t(s.y >= square.y + half);
+        };
+        for (const Sample& s : samples)
+            ++end[quarterOf(s) + 1];
+        for (std::size_t q = 1; q < 4; ++q)
+            end[q] += end[q - 1];
+        for (const Sample& s : samples)
+            sorted[end[quarterOf(s)]++] = s;
+        std::size_t count = 0;
+        for (std::size_t q = 0, begin = 0; q < 4; begin = end[q], ++q) {
+            if (begin == end[q]) continue;
+            const Square part{square.x + int(q & 1) * half, square.y + int(q >> 1) * half,
+                              half};
+            quarters[count++] =
+                emit({&sorted[begin], end[q] - begin}, part, likely, parts);
+        }
+        return count;
+    }
+
+    static void addBits(std::span<const Sample> samples, std::uint16_t* rows) {
+        for (const Sample& s : samples)
+            rows[s.y] |= std::uint16_t(1u << s.x);
+    }
+
+    void addCover(std::span<const Sample> samples, Node& node, Parts& parts) const {
+        const std::uint32_t u0 = std::uint32_t(node.box.u0) - corner_.x;
+        const std::uint32_t u1 = std::uint32_t(node.box.u1) - corner_.x;
+        if (node.sheet) {
+            node.cover = fullCover(u0, u1);
+            return;
+        }
+        std::array<std::uint16_t, kTexels> rows{};
+        addBits(samples, rows.data());
+        node.cover = kFullRows + std::uint32_t(parts.covers.size());
+        parts.covers.insert(parts.covers.end(),
+                            rows.begin() + (std::ptrdiff_t(node.box.v0) - corner_.y),
+                            rows.begin() + (std::ptrdiff_t(node.box.v1) - corner_.y));
+    }
+
+    void addBumps(std::span<const Sample> samples, Square square, Node& node,
+                  Parts& parts) const {
         node.bumpy = true;
-        node.cover = std::uint32_t(made.covers.size());
+        node.cover = kFullRows + std::uint32_t(parts.covers.size());
         BumpPlane bumps;
         std::fill(std::begin(bumps.offset), std::end(bumps.offset), BumpPlane::kNone);
         for (const Sample& s : samples) {
-            const int x = s.pixel & 15, y = s.pixel >> 4;
-            const double away = s.w - node.plane.at(u_ + x + 0.5, v_ + y + 0.5);
+            const double away = s.w - node.plane.at(u_[s.x], v_[s.y]);
             const double steps = away / node.residual * BumpPlane::kSteps;
-            bumps.offset[(y - square.y) * BumpPlane::kSide + x - square.x] =
-                std::int16_t(std::lround(std::clamp(steps, -double(BumpPlane::kSteps),
-                                                    double(BumpPlane::kSteps))));
+            bumps.offset[(s.y - square.y) * BumpPlane::kSide + s.x - square.x] =
+                roundSteps(steps);
         }
-        made.covers.push_back(std::bit_cast<CoverPlane>(bumps));
+        const auto rows = std::bit_cast<std::array<std::uint16_t, 16>>(bumps);
+        parts.covers.insert(parts.covers.end(), rows.begin(), rows.end());
     }
 
-    [[nodiscard]] Node flatNode(const std::vector<Sample>& samples, Slope likely) const {
-        Node node;
-        int x0 = 16, y0 = 16, x1 = 0, y1 = 0;
-        float low = HUGE_VALF, high = -HUGE_VALF;
+    /// To the nearest, halves away from 0. (std::lround is a call.)
+    static std::int16_t roundSteps(double steps) {
+        steps = std::clamp(steps, -double(BumpPlane::kSteps), double(BumpPlane::kSteps));
+        return std::int16_t(steps + (steps < 0 ? -0.5 : 0.5));
+    }
+
+    /// One per pixel, in one tile.
+    [[nodiscard]] Moments momentsOf(std::span<const Sample> samples) const {
+        std::uint32_t x = 0, y = 0, xx = 0, xy = 0, yy = 0;
+        Moments m;
         for (const Sample& s : samples) {
-            const int x = s.pixel & 15, y = s.pixel >> 4;
-            node.moments.add(u_ + x + 0.5, v_ + y + 0.5, s.w);
-            x0 = std::min(x0, x), y0 = std::min(y0, y);
-            x1 = std::max(x1, x + 1), y1 = std::max(y1, y + 1);
+            x += s.x, y += s.y, xx += s.x * s.x, xy += s.x * s.y, yy += s.y * s.y;
+            m.w += s.w, m.uw += u_[s.x] * s.w, m.vw += v_[s.y] * s.w;
         }
-        node.box = {u_ + x0, v_ + y0, u_ + x1, v_ + y1};
+        // Of places all sums are exact.
+        const double n = double(samples.size()), u = u_[0], v = v_[0];
+        m.n = n, m.u = n * u + x, m.v = n * v + y;
+        m.uu = n * u * u + 2 * u * x + xx;
+        m.uv = n * u * v + u * y + v * x + xy;
+        m.vv = n * v * v + 2 * v * y + yy;
+        return m;
+    }
+
+    [[nodiscard]] Node flatNode(std::span<const Sample> samples, Slope likely) const {
+        Node node;
+        std::uint32_t x0 = kTexels, x1 = 0;
+        for (const Sample& s : samples)
+            x0 = std::min<std::uint32_t>(x0, s.x), x1 = std::max<std::uint32_t>(x1, s.x);
+        const std::uint32_t y0 = samples.front().y, y1 = samples.back().y;  // row by row
+        const auto place = [](std::uint32_t corner, std::uint32_t x) {
+            return float(corner + x);
+        };
+        node.box = {place(corner_.x, x0), place(corner_.y, y0), place(corner_.x, x1 + 1),
+                    place(corner_.y, y1 + 1)};
+        node.sheet = samples.size() == std::size_t(x1 + 1 - x0) * (y1 + 1 - y0);
+        node.moments = momentsOf(samples);
         node.plane = fit(node.moments, likely,
                          kSteepest * footprint_.at(node.moments.w / node.moments.n));
         node.centre();
+        float low = HUGE_VALF, high = -HUGE_VALF;
         for (const Sample& s : samples) {
-            const double on =
-                node.plane.at(u_ + (s.pixel & 15) + 0.5, v_ + (s.pixel >> 4) + 0.5);
+            const double on = node.plane.at(u_[s.x], v_[s.y]);
             node.residual = std::max(node.residual, std::abs(float(s.w - on)));
-            low = std::min({low, s.w, float(on)}),
+            low = std::min({low, s.w, float(on)});
             high = std::max({high, s.w, float(on)});
         }
         const auto reach = float(
             0.5 * (std::abs(node.plane.gradientU) + std::abs(node.plane.gradientV)));
         node.low = low - reach;
         node.high = high + reach;
-        node.sheet = samples.size() == std::size_t(x1 - x0) * std::size_t(y1 - y0);
         return node;
     }
 
-    static constexpr std::uint32_t kNone = 0xffffffffu;
+    /// Samples that are connected: the piece that one of a pixel is in, and of the last
+    /// one that was seen the pixel and the piece.
+    struct Connected {
+        std::uint32_t first = kNone, pixel = kNone, piece = kNone;
+    };
+    struct Corner {
+        std::uint32_t x = 0, y = 0;
+    };
+
     const ShadowMap& map_;
     std::uint32_t face_;
     Footprint footprint_;
     float flatness_;
     bool perspective_ = true;
-    float u_ = 0, v_ = 0;
+    Corner corner_;
+    std::array<double, kTexels> u_{}, v_{};  // centres of pixels
     std::vector<Sample> samples_, ordered_;
+    std::vector<float> reach_;
     std::array<std::uint32_t, 257> begin_{};
-    std::vector<std::uint32_t> parent_, first_, pieceOf_, pieceBegin_;
-    std::vector<std::pair<std::uint32_t, std::uint32_t>> seen_;
+    std::vector<std::uint32_t> label_;  // then the piece
+    std::vector<std::uint32_t> parent_, pieceBegin_, next_;
+    std::vector<std::uint32_t> further_;  // of a piece: the next one of its samples
+    std::vector<Connected> last_;
 };
 
 // --- coarser levels
 // ------------------------------------------------------------------------
 
-/// Pieces of the four tiles below that become one.
+/// Pieces of the four tiles below that become one. Members are linked
+/// (Coarsening::next_).
 struct Cluster {
     Plane plane;
     Moments moments;
-    float residual = 0;  // a bound, while it grows
-    std::vector<std::uint32_t> members;
+    std::uint32_t first, last, members;
 };
 
-/// Adds the members of each of `from` to the one that it fits best, if within tolerance.
-void gatherClusters(const LevelNodes& below, std::vector<Cluster>& from, float texel,
-                    float tolerance, Footprint footprint) {
-    std::vector<Cluster> made;
-    for (Cluster& c : from) {
-        const double w = c.moments.w / c.moments.n;
-        const float most = tolerance * texel * footprint.at(w);
-        Cluster* best = nullptr;
-        float least = most;
-        for (Cluster& other : made) {
-            // A quick look at the middle first.
-            const double u = c.moments.u / c.moments.n, v = c.moments.v / c.moments.n;
-            if (std::abs(other.plane.at(u, v) - w) > least) continue;
-            if (other.members.size() + c.members.size() > kMostMembers) continue;
-            float distance = 0;
-            for (const std::uint32_t member : c.members)
-                distance = std::max(distance, mismatch(other.plane, below.nodes[member]));
-            if (distance <= least) {
-                least = distance;
-                best = &other;
-            }
+/// Of a texel of 16 x 16, what a share must exceed to count as the next sixteenth: the
+/// bits of x ^ y and y, reversed and interleaved, so that neighbours differ most.
+constexpr std::array<double, 256> kDither = [] {
+    std::array<double, 256> thresholds{};
+    for (std::uint32_t i = 0; i < 256; ++i) {
+        const std::uint32_t x = i & 15, y = i >> 4;
+        std::uint32_t rank = 0;
+        for (int bit = 0; bit < 4; ++bit) {
+            rank |= ((x ^ y) >> bit & 1) << (7 - 2 * bit);
+            rank |= (y >> bit & 1) << (6 - 2 * bit);
         }
-        if (!best) {
-            made.push_back(std::move(c));
-            continue;
-        }
-        best->moments.add(c.moments);
-        best->members.insert(best->members.end(), c.members.begin(), c.members.end());
-        best->plane = fit(best->moments, {},
-                          kSteepest * footprint.at(best->moments.w / best->moments.n));
+        thresholds[i] = (rank + 0.5) / 256.0;
     }
-    from = std::move(made);
-}
+    return thresholds;
+}();
 
+/// Nodes of two neighbouring tiles, and their masks.
+struct TilePair {
+    const Node* nodes = nullptr;
+    std::size_t count = 0;
+    const PixelMask* masks = nullptr;
+};
+
+/// Makes tiles of a level of those of the level below.
 class Coarsening {
   public:
-    Coarsening(const LevelNodes& below, std::uint8_t level, Footprint footprint)
-        : below_(below), level_(level), footprint_(footprint), side_(2 * below.side) {}
+    Coarsening(std::uint8_t level, std::uint32_t sideBelow, Footprint footprint)
+        : level_(level), footprint_(footprint), side_(2 * sideBelow) {
+        maskAt_.assign(std::size_t(side_ / kTexels) * (side_ / kTexels), kNone);
+    }
 
-    /// Tile (x, y) of the coarser level.
-    void run(std::uint32_t x, std::uint32_t y, Made& made) {
-        const std::size_t before = made.nodes.size();
-        std::vector<std::uint32_t> order;
-        for (std::uint32_t q = 0; q < 4; ++q) {
-            const std::uint32_t tx = 2 * x + (q & 1), ty = 2 * y + (q >> 1);
-            if (tx >= below_.columns || ty >= below_.rows) continue;
-            const std::size_t tile = std::size_t(ty) * below_.columns + tx;
-            for (std::uint32_t i = below_.begin[tile]; i < below_.begin[tile + 1]; ++i)
-                order.push_back(i);
+    /// Appends the nodes of tile (x, y); `below`: the upper and the lower two tiles.
+    void run(std::uint32_t x, std::uint32_t y, const std::array<TilePair, 2>& below,
+             Nodes& made, Parts& parts) {
+        corner_ = {x * side_, y * side_};
+        nodes_.clear(), masks_.clear();
+        for (const TilePair& pair : below) {
+            const PixelMask* masks = pair.masks;
+            for (std::size_t i = 0; i < pair.count; ++i) {
+                nodes_.push_back(pair.nodes + i);
+                masks_.push_back(masks);
+                masks += pair.nodes[i].masks;
+            }
         }
-        // Large ones first: they say where the surfaces are.
-        std::stable_sort(order.begin(), order.end(),
-                         [&](std::uint32_t a, std::uint32_t b) {
-                             return below_.nodes[a].moments.n > below_.nodes[b].moments.n;
-                         });
-        std::vector<Cluster> clusters;
-        clusters.reserve(order.size());
-        for (const std::uint32_t i : order) {
-            const Node& n = below_.nodes[i];
-            clusters.push_back({n.plane, n.moments, n.residual, {i}});
-        }
+        startClusters();
         for (const float tolerance : kTolerances)
-            gatherClusters(below_, clusters, float(side_ / kTexels), tolerance,
-                           footprint_);
-        for (Cluster& c : clusters)
-            finish(c, x * side_, y * side_, made);
-        made.perTile.push_back(std::uint32_t(made.nodes.size() - before));
+            gatherClusters(tolerance * float(side_ / kTexels));
+        for (const Cluster& c : clusters_)
+            finish(c, made, parts);
     }
 
   private:
-    void finish(Cluster& c, std::uint32_t x, std::uint32_t y, Made& made) {
-        std::sort(c.members.begin(), c.members.end());
+    static constexpr std::uint32_t kNone = 0xffffffffu;
+
+    /// One for each node. Large ones first: they say where the surfaces are.
+    void startClusters() {
+        order_.resize(nodes_.size());
+        for (std::uint32_t i = 0; i < order_.size(); ++i)
+            order_[i] = {nodes_[i]->moments.n, i};
+        std::sort(order_.begin(), order_.end(), [](const auto& a, const auto& b) {
+            return a.first != b.first ? a.first > b.first : a.second < b.second;
+        });
+        next_.assign(nodes_.size(), kNone);
+        clusters_.clear();
+        for (const auto& [n, i] : order_)
+            clusters_.push_back({nodes_[i]->plane, nodes_[i]->moments, i, i, 1});
+    }
+
+    /// Adds the members of each to the one before it that it fits best, if within so many
+    /// pixel footprints.
+    void gatherClusters(float tolerance) {
+        std::size_t made = 0;
+        for (std::size_t i = 0; i < clusters_.size(); ++i) {
+            const Cluster& c = clusters_[i];
+            const double w = c.moments.w / c.moments.n;
+            const std::size_t best = findBest(c, made, tolerance * footprint_.at(w));
+            if (best == made)
+                clusters_[made++] = c;
+            else
+                join(clusters_[best], c);
+        }
+        clusters_.resize(made);
+    }
+
+    /// Of the first `made`; `made` if it fits none within `least`.
+    [[nodiscard]] std::size_t findBest(const Cluster& c, std::size_t made,
+                                       float least) const {
+        const double u = c.moments.u / c.moments.n, v = c.moments.v / c.moments.n;
+        const double w = c.moments.w / c.moments.n;
+        std::size_t best = made;
+        for (std::size_t k = 0; k < made; ++k) {
+            const Cluster& other = clusters_[k];
+            // A quick look at the middle first.
+            if (std::abs(other.plane.at(u, v) - w) > least) continue;
+            if (other.members + c.members > kMostMembers) continue;
+            float distance = 0;
+            for (std::uint32_t i = c.first; i != kNone && distance <= least; i = next_[i])
+                distance = std::max(distance, mismatch(other.plane, *nodes_[i]));
+            if (distance <= least) {
+                least = distance;
+                best = k;
+            }
+        }
+        return best;
+    }
+
+    void join(Cluster& to, const Cluster& c) {
+        to.moments.add(c.moments);
+        next_[to.last] = c.first;
+        to.last = c.last;
+        to.members += c.members;
+        to.plane =
+            fit(to.moments, {}, kSteepest * footprint_.at(to.moments.w / to.moments.n));
+    }
+
+    void finish(const Cluster& c, Nodes& made, Parts& parts) {
+        members_.clear();
+        for (std::uint32_t i = c.first; i != kNone; i = next_[i])
+            members_.push_back(i);
+        std::sort(members_.begin(), members_.end());
         Node node;
         node.level = level_;
         node.moments = c.moments;
         node.plane = c.plane;
-        node.box = below_.nodes[c.members[0]].box;
+        node.box = nodes_[members_[0]]->box;
         node.low = HUGE_VALF, node.high = -HUGE_VALF;
-        for (const std::uint32_t i : c.members) {
-            const Node& n = below_.nodes[i];
+        for (const std::uint32_t i : members_) {
+            const Node& n = *nodes_[i];
             node.box.include(n.box);
             node.low = std::min(node.low, n.low);
             node.high = std::max(node.high, n.high);
             node.residual = std::max(node.residual, mismatch(c.plane, n));
         }
         node.centre();
-        const PatchTree::Entry children = append(
-            made.groups, c.members.size(),
-            [&](std::size_t i) -> const Node& { return below_.nodes[c.members[i]]; });
+        const PatchTree::Entry children =
+            append(parts.groups, members_.size(),
+                   [&](std::size_t i) -> const Node& { return *nodes_[members_[i]]; });
         node.children = children.group;
         node.childGroups = children.groups;
-        const std::size_t mask = uniteMasks(c, x, y, made);
-        node.sheet = isSheet(c, node);
-        addCover(node, mask, x, y, made);
+        node.sheet = isSheet(node);
+        const std::size_t firstMask = made.masks.size();
+        uniteMasks(made.masks);
+        node.masks = std::uint32_t(made.masks.size() - firstMask);
+        addCover(node, {&made.masks[firstMask], node.masks}, parts);
         roundBounds(node);
         made.nodes.push_back(node);
     }
 
-    /// Where the union of the members' masks begins.
-    std::size_t uniteMasks(const Cluster& c, std::uint32_t x, std::uint32_t y,
-                           Made& made) const {
-        const std::size_t words = side_ / kTexels, wordsBelow = words / 2;
-        const std::size_t mask = made.masks.size();
-        made.masks.resize(mask + words * side_, 0);
-        for (const std::uint32_t i : c.members) {
-            const Box& box = below_.nodes[i].box;
-            const bool right = box.u0 >= float(x + below_.side);
-            const bool lower = box.v0 >= float(y + below_.side);
-            const std::uint16_t* from = &below_.masks[i * below_.maskWords()];
-            std::uint16_t* to = &made.masks[mask + (right ? wordsBelow : 0) +
-                                            (lower ? below_.side * words : 0)];
-            for (std::uint32_t row = 0; row < below_.side; ++row) {
-                for (std::size_t k = 0; k < wordsBelow; ++k)
-                    to[k] |= from[k];
-                from += wordsBelow;
-                to += words;
+    /// Appends the members' masks, those of one tile united.
+    void uniteMasks(std::vector<PixelMask>& masks) {
+        const std::size_t first = masks.size();
+        for (const std::uint32_t member : members_) {
+            for (std::uint32_t k = 0; k < nodes_[member]->masks; ++k) {
+                const PixelMask& mask = masks_[member][k];
+                std::uint32_t& at = maskAt_[placeOf(mask)];
+                if (at == kNone) {
+                    at = std::uint32_t(masks.size());
+                    masks.push_back(mask);
+                } else {
+                    unite(masks[at], mask);
+                }
             }
         }
-        return mask;
+        for (std::size_t i = first; i < masks.size(); ++i)
+            maskAt_[placeOf(masks[i])] = kNone;
+    }
+
+    static void unite(PixelMask& to, const PixelMask& from) {
+        to.covered = 0;
+        for (int row = 0; row < kTexels; ++row) {
+            to.row[row] |= from.row[row];
+            to.covered = std::uint16_t(to.covered + ones(to.row[row]));
+        }
+    }
+
+    [[nodiscard]] std::size_t placeOf(const PixelMask& mask) const {
+        const std::size_t x = mask.x - corner_.x / kTexels;
+        const std::size_t y = mask.y - corner_.y / kTexels;
+        return y * (side_ / kTexels) + x;
     }
 
     /// Do sheets of all quarters that the box reaches into meet at their borders?
-    [[nodiscard]] bool isSheet(const Cluster& c, const Node& node) const {
+    [[nodiscard]] bool isSheet(const Node& node) const {
+        if (members_.size() > 4) return false;
         float area = 0;
-        for (const std::uint32_t i : c.members) {
-            const Node& n = below_.nodes[i];
+        for (const std::uint32_t i : members_) {
+            const Node& n = *nodes_[i];
             if (!n.sheet) return false;
             area += n.box.area();
         }
-        // One of each tile: areas alone do not say that none lies over another.
-        const auto tileOf = [&](const Node& n) {
-            const auto side = float(below_.side);
-            return std::pair(std::floor(n.box.u0 / side), std::floor(n.box.v0 / side));
-        };
-        for (const std::uint32_t i : c.members) {
-            for (const std::uint32_t j : c.members) {
-                if (i < j && tileOf(below_.nodes[i]) == tileOf(below_.nodes[j]))
+        if (area != node.box.area()) return false;
+        for (const std::uint32_t i : members_) {
+            for (const std::uint32_t j : members_) {
+                // One of each tile: areas alone do not say that none lies over another.
+                if (i < j && (tileOf(*nodes_[i]) == tileOf(*nodes_[j]) ||
+                              !meet(*nodes_[i], *nodes_[j])))
                     return false;
             }
         }
-        if (c.members.size() > 4 || area != node.box.area()) return false;
-        for (const std::uint32_t i : c.members) {
-            for (const std::uint32_t j : c.members) {
-                if (i < j && !meet(below_.nodes[i], below_.nodes[j])) return false;
-            }
-        }
         return true;
+    }
+
+    [[nodiscard]] std::pair<std::uint32_t, std::uint32_t> tileOf(const Node& n) const {
+        const std::uint32_t side = side_ / 2;
+        return {std::uint32_t(n.box.u0) / side, std::uint32_t(n.box.v0) / side};
     }
 
     [[nodiscard]] bool meet(const Node& a, const Node& b) const {
@@ -617,44 +819,56 @@ class Coarsening {
                std::abs(a.plane.at(u1, v1) - b.plane.at(u1, v1)) <= most;
     }
 
-    void addCover(Node& node, std::size_t mask, std::uint32_t x, std::uint32_t y,
-                  Made& made) const {
-        const std::uint32_t texel = side_ / kTexels;
-        const std::uint16_t* bits = &made.masks[mask];
+    void addCover(Node& node, std::span<const PixelMask> masks, Parts& parts) {
+        const std::uint32_t texel = side_ / kTexels, full = texel * texel;
+        const std::uint32_t u0 = (std::uint32_t(node.box.u0) - corner_.x) / texel;
+        const std::uint32_t v0 = (std::uint32_t(node.box.v0) - corner_.y) / texel;
+        const std::uint32_t u1 =
+            (std::uint32_t(node.box.u1) - corner_.x + texel - 1) / texel;
+        const std::uint32_t v1 =
+            (std::uint32_t(node.box.v1) - corner_.y + texel - 1) / texel;
         std::array<std::uint32_t, 256> counts{};
-        const auto column0 = std::uint32_t(node.box.u0 - float(x)) / texel;
-        const auto row0 = std::uint32_t(node.box.v0 - float(y)) / texel;
-        const auto column1 = (std::uint32_t(node.box.u1 - float(x)) + texel - 1) / texel;
-        const auto row1 = (std::uint32_t(node.box.v1 - float(y)) + texel - 1) / texel;
-        for (std::uint32_t row = row0; row < row1; ++row) {
-            for (std::uint32_t column = column0; column < column1; ++column)
-                counts[row * kTexels + column] =
-                    count(bits, texel, column * texel, row * texel);
-        }
-        const std::uint32_t full = texel * texel;
-        node.cover = std::uint32_t(made.covers.size());
-        CoverPlane planes[4]{};
-        for (std::uint32_t i = 0; i < 256; ++i) {
-            if (counts[i] == 0) continue;
-            if (counts[i] < full) node.shared = true;
-            includeTexel(node, x + i % kTexels * texel, y + i / kTexels * texel, texel);
-            const std::uint32_t share = sixteenths(counts[i], full, i, x + y);
-            for (int k = 0; k < 4; ++k) {
-                if (share >> k & 1)
-                    planes[k].row[i >> 4] |= std::uint16_t(1u << (i & 15));
+        for (const PixelMask& mask : masks)
+            count(mask, counts);
+        std::uint16_t planes[4][kTexels];
+        bool fills = true;
+        for (std::uint32_t y = v0; y < v1; ++y) {
+            std::uint32_t shares[4] = {}, covered = 0;
+            for (std::uint32_t x = u0; x < u1; ++x) {
+                const std::uint32_t i = y * kTexels + x;
+                if (counts[i] != full) fills = false;
+                if (counts[i] == 0) continue;
+                if (counts[i] < full) node.shared = true;
+                covered |= 1u << x;
+                const std::uint32_t share = sixteenths(counts[i], full, i);
+                for (int k = 0; k < 4; ++k)
+                    shares[k] |= (share >> k & 1) << x;
             }
+            for (int k = 0; k < 4; ++k)
+                planes[k][y] = std::uint16_t(shares[k]);
+            if (covered == 0) continue;
+            // Of a plane's depths in a row the first and the last are the extremes.
+            includeTexel(node, std::uint32_t(std::countr_zero(covered)), y);
+            includeTexel(node, std::uint32_t(std::bit_width(covered)) - 1, y);
         }
-        made.covers.insert(made.covers.end(), planes, planes + (node.shared ? 4 : 1));
+        if (fills) {
+            node.cover = fullCover(u0, u1);
+            return;
+        }
+        node.cover = kFullRows + std::uint32_t(parts.covers.size());
+        for (int k = 0; k < (node.shared ? 4 : 1); ++k)
+            parts.covers.insert(parts.covers.end(), planes[k] + v0, planes[k] + v1);
     }
 
     /// Rays meet the plane there.
-    static void includeTexel(Node& node, std::uint32_t x, std::uint32_t y,
-                             std::uint32_t texel) {
+    void includeTexel(Node& node, std::uint32_t column, std::uint32_t row) const {
         const Plane& plane = node.plane;
+        const std::uint32_t texel = side_ / kTexels;
         const double half = 0.5 * texel;
         const double reach =
             half * (std::abs(plane.gradientU) + std::abs(plane.gradientV));
-        const double w = plane.at(x + half, y + half);
+        const double w =
+            plane.at(corner_.x + column * texel + half, corner_.y + row * texel + half);
         node.low = std::min(node.low, float(w - reach));
         node.high = std::max(node.high, float(w + reach));
     }
@@ -667,44 +881,55 @@ class Coarsening {
         return (bits + (bits >> 8)) & 31;
     }
 
-    /// Covered pixels of a texel.
-    [[nodiscard]] std::uint32_t count(const std::uint16_t* bits, std::uint32_t texel,
-                                      std::uint32_t x, std::uint32_t y) const {
-        const std::size_t words = side_ / kTexels;
-        const std::uint16_t* at = bits + y * words + x / kTexels;
-        std::uint32_t n = 0;
-        for (std::uint32_t row = 0; row < texel; ++row, at += words) {
-            if (texel < kTexels) {
-                const std::uint32_t inside = (1u << texel) - 1;
-                n += ones((*at >> (x % kTexels)) & inside);
-            } else {
-                for (std::uint32_t k = 0; k < texel / kTexels; ++k)
-                    n += ones(at[k]);
-            }
+    /// Adds the covered pixels of each texel.
+    void count(const PixelMask& mask, std::array<std::uint32_t, 256>& counts) const {
+        const std::uint32_t texel = side_ / kTexels;
+        const std::uint32_t x = (mask.x * kTexels - corner_.x) / texel;
+        const std::uint32_t y = (mask.y * kTexels - corner_.y) / texel;
+        std::uint32_t* to = &counts[y * kTexels + x];
+        if (texel >= kTexels) {
+            *to += mask.covered;
+            return;
         }
-        return n;
+        for (std::uint32_t row = 0; row < kTexels; row += texel, to += kTexels)
+            countRow(mask.row + row, texel, to);
+    }
+
+    /// Of a row of texels.
+    static void countRow(const std::uint16_t* rows, std::uint32_t texel,
+                         std::uint32_t* to) {
+        const std::uint32_t inside = (1u << texel) - 1;
+        for (std::uint32_t i = 0; i < kTexels / texel; ++i) {
+            for (std::uint32_t row = 0; row < texel; ++row)
+                to[i] += ones(rows[row] >> (i * texel) & inside);
+        }
     }
 
     /// The share in sixteenths by ordered dither; 15 stands for all of it.
     static std::uint32_t sixteenths(std::uint32_t covered, std::uint32_t full,
-                                    std::uint32_t texel, std::uint32_t turn) {
+                                    std::uint32_t place) {
         if (covered == full) return 15;
-        // The bits of x ^ y and y, reversed and interleaved: neighbours differ most.
-        const std::uint32_t x = (texel ^ turn) & 15, y = texel >> 4;
-        std::uint32_t rank = 0;
-        for (int bit = 0; bit < 4; ++bit) {
-            rank |= ((x ^ y) >> bit & 1) << (7 - 2 * bit);
-            rank |= (y >> bit & 1) << (6 - 2 * bit);
-        }
-        const double share = 16.0 * covered / full, threshold = (rank + 0.5) / 256.0;
+        const double share = 16.0 * covered / full, threshold = kDither[place];
         if (share < 14.0) return std::uint32_t(share + threshold);
         return share - 14.0 > 2.0 * threshold ? 15 : 14;
     }
 
-    const LevelNodes& below_;
+    struct Corner {
+        std::uint32_t x = 0, y = 0;
+    };
+
     std::uint8_t level_;
     Footprint footprint_;
     std::uint32_t side_;
+    Corner corner_;
+    // Of the tiles below, and of what is made of them.
+    std::vector<const Node*> nodes_;
+    std::vector<const PixelMask*> masks_;  // of each node
+    std::vector<std::pair<double, std::uint32_t>> order_;
+    std::vector<std::uint32_t> next_;  // member of the same cluster
+    std::vector<Cluster> clusters_;
+    std::vector<std::uint32_t> members_;  // of the cluster at hand
+    std::vector<std::uint32_t> maskAt_;   // by tile of level 0
 };
 
 }  // namespace
@@ -718,122 +943,168 @@ class PatchBuilder {
         const Projection& p = map.projection(face);
         const bool perspective = p.kind == ProjectionKind::perspective;
         (perspective ? footprint_.perW : footprint_.constant) = p.pixelFootprint(1.0);
+        columns_ = (map.info().width + kTexels - 1) / kTexels;
+        rows_ = (map.info().height + kTexels - 1) / kTexels;
     }
 
     PatchTree run() {
-        LevelNodes nodes = pieces();
-        for (std::uint8_t level = 1; nodes.columns > 1 || nodes.rows > 1; ++level) {
-            // Of tiles of level 0 there are too many to begin with.
-            tree_.levels_.push_back({nodes.side, nodes.columns, nodes.rows, {}});
-            if (level > 1) addEntries(nodes);
-            nodes = coarsen(nodes, level);
+        const bool single = columns_ == 1 && rows_ == 1;
+        if (!single) tree_.levels_.push_back({kTexels, columns_, rows_, {}});
+        LevelRows level = single ? pieces() : coarsePieces();
+        settle(level, true);
+        while (level.columns > 1 || level.rows.size() > 1) {
+            level = coarsen(level);
+            settle(level, false);
         }
-        tree_.levels_.push_back({nodes.side, nodes.columns, nodes.rows, {}});
-        addEntries(nodes);
         tree_.lowest_ = HUGE_VALF, tree_.highest_ = -HUGE_VALF;
-        for (const Node& n : nodes.nodes) {
+        for (const Node& n : level.rows[0].all.nodes) {
             tree_.lowest_ = std::min(tree_.lowest_, n.low);
             tree_.highest_ = std::max(tree_.highest_, n.high);
         }
         tree_.margin_ = float(std::max(map_.info().width, map_.info().height)) * 0x1p-19f;
-        tree_.covers_.emplace_back();  // kernels read a little further
-        tree_.groups_.shrink_to_fit();
-        tree_.covers_.shrink_to_fit();
+        if (pieces_ > 0) tree_.pieceSize_ = float(double(samples_) / double(pieces_));
+        putTogether();
         return std::move(tree_);
     }
 
   private:
-    LevelNodes pieces() {
-        LevelNodes level;
-        level.side = kTexels;
-        level.columns = (map_.info().width + kTexels - 1) / kTexels;
-        level.rows = (map_.info().height + kTexels - 1) / kTexels;
-        std::vector<Made> made(level.rows);
-        base::parallelFor(0u, level.rows, [&](std::uint32_t row) {
+    /// Level 0 of a map that is one tile.
+    LevelRows pieces() {
+        LevelRows level{kTexels, 1, std::vector<TileRow>(1)};
+        TileRow& row = level.rows[0];
+        TilePieces tile(map_, face_, footprint_, options_.flatness);
+        addPieces(tile, 0, 0, row, row.all);
+        row.endTile();
+        return level;
+    }
+
+    /// Level 1. Of level 0 only what its patches have as children is kept.
+    LevelRows coarsePieces() {
+        LevelRows level{2 * kTexels, (columns_ + 1) / 2,
+                        std::vector<TileRow>((rows_ + 1) / 2)};
+        base::parallelFor(std::size_t(0), level.rows.size(), [&](std::size_t y) {
             TilePieces tile(map_, face_, footprint_, options_.flatness);
-            for (std::uint32_t column = 0; column < level.columns; ++column)
-                tile.run(column * kTexels, row * kTexels, made[row]);
+            Coarsening coarsening(1, kTexels, footprint_);
+            Nodes below;
+            for (std::uint32_t x = 0; x < level.columns; ++x) {
+                below.clear();
+                for (std::uint32_t q = 0; q < 4; ++q)
+                    addPieces(tile, 2 * x + (q & 1), 2 * std::uint32_t(y) + (q >> 1),
+                              level.rows[y], below);
+                const TilePair all{below.nodes.data(), below.nodes.size(),
+                                   below.masks.data()};
+                coarsening.run(x, std::uint32_t(y), {all, {}}, level.rows[y].all,
+                               level.rows[y].parts);
+                level.rows[y].endTile();
+            }
         });
-        collect(made, level, true);
-        double samples = 0;
-        for (const Node& n : level.nodes)
-            samples += n.moments.n;
-        if (samples > 0) tree_.pieceSize_ = float(samples / double(level.nodes.size()));
         return level;
     }
 
-    LevelNodes coarsen(const LevelNodes& below, std::uint8_t number) {
-        LevelNodes level;
-        level.side = 2 * below.side;
-        level.columns = (below.columns + 1) / 2;
-        level.rows = (below.rows + 1) / 2;
-        std::vector<Made> made(level.rows);
-        base::parallelFor(0u, level.rows, [&](std::uint32_t row) {
-            Coarsening coarsening(below, number, footprint_);
-            for (std::uint32_t column = 0; column < level.columns; ++column)
-                coarsening.run(column, row, made[row]);
-        });
-        collect(made, level, false);
-        return level;
+    /// Those of a tile, if there is such a one.
+    void addPieces(TilePieces& tile, std::uint32_t x, std::uint32_t y, TileRow& row,
+                   Nodes& nodes) const {
+        if (x >= columns_ || y >= rows_) return;
+        const std::size_t before = nodes.nodes.size();
+        tile.run(x, y, nodes, row.parts);
+        row.samples += tile.samples();
+        row.pieces += nodes.nodes.size() - before;
     }
 
-    /// `ownGroups`: the tasks' groups have children among themselves.
-    void collect(std::vector<Made>& made, LevelNodes& level, bool ownGroups) {
-        level.begin.assign(1, 0);
-        std::size_t nodes = 0, masks = 0, groups = tree_.groups_.size(),
-                    covers = tree_.covers_.size();
-        for (const Made& m : made) {
-            nodes += m.nodes.size(), masks += m.masks.size();
-            groups += m.groups.size(), covers += m.covers.size();
-        }
-        level.nodes.reserve(nodes), level.masks.reserve(masks);
-        if (ownGroups) tree_.groups_.reserve(groups), tree_.covers_.reserve(covers);
-        for (Made& m : made) {
-            const auto group = std::uint32_t(tree_.groups_.size());
-            const auto cover = std::uint32_t(tree_.covers_.size());
-            if (tree_.groups_.size() + m.groups.size() > kMostIds ||
-                tree_.covers_.size() + m.covers.size() > kMostIds)
-                throw std::bad_alloc();
-            for (Node& n : m.nodes) {
-                n.cover += cover;
-                if (n.childGroups > 0) n.children += group;
-            }
-            if (ownGroups) {
-                for (PatchGroup& g : m.groups) {
-                    for (int i = 0; i < 4; ++i) {
-                        g.cover[i] += cover;
-                        if (g.childGroups[i] > 0) g.children[i] += group;
-                    }
-                }
-            }
-            for (const std::uint32_t n : m.perTile)
-                level.begin.push_back(level.begin.back() + n);
-            const auto append = [](auto& to, const auto& from) {
-                to.insert(to.end(), from.begin(), from.end());
+    LevelRows coarsen(const LevelRows& below) {
+        LevelRows level{2 * below.side, (below.columns + 1) / 2,
+                        std::vector<TileRow>((below.rows.size() + 1) / 2)};
+        const auto number = std::uint8_t(std::countr_zero(level.side / kTexels));
+        base::parallelFor(std::size_t(0), level.rows.size(), [&](std::size_t y) {
+            Coarsening coarsening(number, below.side, footprint_);
+            const auto pairOf = [&](std::size_t row, std::uint32_t x) -> TilePair {
+                if (row >= below.rows.size()) return {};
+                const TileRow& tiles = below.rows[row];
+                const std::uint32_t last = std::min(2 * x + 2, below.columns);
+                return {tiles.all.nodes.data() + tiles.begin[2 * x],
+                        tiles.begin[last] - tiles.begin[2 * x],
+                        tiles.all.masks.data() + tiles.maskBegin[2 * x]};
             };
-            append(level.nodes, m.nodes);
-            append(level.masks, m.masks);
-            append(tree_.groups_, m.groups);
-            append(tree_.covers_, m.covers);
-            m = {};
-        }
+            for (std::uint32_t x = 0; x < level.columns; ++x) {
+                coarsening.run(x, std::uint32_t(y),
+                               {pairOf(2 * y, x), pairOf(2 * y + 1, x)},
+                               level.rows[y].all, level.rows[y].parts);
+                level.rows[y].endTile();
+            }
+        });
+        return level;
     }
 
-    /// To the last level.
-    void addEntries(const LevelNodes& nodes) {
-        std::vector<PatchTree::Entry>& tiles = tree_.levels_.back().tiles;
-        for (std::size_t tile = 0; tile + 1 < nodes.begin.size(); ++tile) {
-            const std::uint32_t first = nodes.begin[tile];
-            tiles.push_back(append(
-                tree_.groups_, nodes.begin[tile + 1] - first,
-                [&](std::size_t i) -> const Node& { return nodes.nodes[first + i]; }));
+    /// Finds the places of a level's parts in the tree, and adds its tiles. `ownGroups`:
+    /// groups of a row have children and covers of the same row.
+    void settle(LevelRows& level, bool ownGroups) {
+        for (TileRow& row : level.rows) {
+            row.firstGroup = groups_, row.firstCover = covers_;
+            groups_ += row.parts.groups.size();
+            for (std::size_t tile = 0; tile < level.columns; ++tile)
+                groups_ += (row.begin[tile + 1] - row.begin[tile] + 3) / 4;
+            covers_ += row.parts.covers.size();
+            if (groups_ > kMostIds || covers_ > kMostIds) throw std::bad_alloc();
+            samples_ += row.samples, pieces_ += row.pieces;
         }
+        const auto rows = std::uint32_t(level.rows.size());
+        tree_.levels_.push_back({level.side, level.columns, rows, {}});
+        std::vector<PatchTree::Entry>& tiles = tree_.levels_.back().tiles;
+        tiles.resize(std::size_t(level.columns) * rows);
+        base::parallelFor(std::size_t(0), level.rows.size(), [&](std::size_t y) {
+            TileRow& row = level.rows[y];
+            for (Node& n : row.all.nodes)
+                move(row, n.children, n.childGroups, n.cover);
+            for (PatchGroup& g : row.parts.groups) {
+                for (int i = 0; ownGroups && i < 4; ++i)
+                    move(row, g.children[i], g.childGroups[i], g.cover[i]);
+            }
+            for (std::size_t x = 0; x < level.columns; ++x) {
+                const Node* nodes = row.all.nodes.data() + row.begin[x];
+                PatchTree::Entry& tile = tiles[y * level.columns + x];
+                tile = append(row.parts.groups, row.begin[x + 1] - row.begin[x],
+                              [&](std::size_t i) -> const Node& { return nodes[i]; });
+                tile.group += std::uint32_t(row.firstGroup);
+            }
+        });
+        for (TileRow& row : level.rows)
+            placed_.push_back({std::move(row.parts), row.firstGroup, row.firstCover});
     }
+
+    static void move(const TileRow& row, std::uint32_t& children, std::uint32_t groups,
+                     std::uint32_t& cover) {
+        if (groups > 0) children += std::uint32_t(row.firstGroup);
+        if (cover >= kFullRows) cover += std::uint32_t(row.firstCover);
+    }
+
+    void putTogether() {
+        const std::vector<std::uint16_t> full = fullRows();
+        tree_.groups_.resize(groups_);
+        tree_.covers_.resize(full.size() + covers_ + kTexels);  // kernels read further
+        std::copy(full.begin(), full.end(), tree_.covers_.begin());
+        base::parallelFor(std::size_t(0), placed_.size(), [&](std::size_t i) {
+            const Placed& p = placed_[i];
+            std::copy(p.parts.groups.begin(), p.parts.groups.end(),
+                      tree_.groups_.begin() + std::ptrdiff_t(p.firstGroup));
+            std::copy(p.parts.covers.begin(), p.parts.covers.end(),
+                      tree_.covers_.begin() + std::ptrdiff_t(full.size() + p.firstCover));
+            placed_[i] = {};
+        });
+    }
+
+    struct Placed {
+        Parts parts;
+        std::size_t firstGroup = 0, firstCover = 0;
+    };
 
     const ShadowMap& map_;
     std::uint32_t face_;
     PatchTree::Options options_;
     Footprint footprint_;
+    std::uint32_t columns_ = 0, rows_ = 0;  // of level 0
+    std::vector<Placed> placed_;
+    std::size_t groups_ = 0, covers_ = 0;     // so far
+    std::uint64_t samples_ = 0, pieces_ = 0;  // of level 0
     PatchTree tree_;
 };
 
@@ -863,7 +1134,7 @@ const std::vector<PatchTree>* patchTrees(const ShadowMap& map) {
 
 std::uint64_t PatchTree::memoryBytes() const noexcept {
     std::uint64_t bytes =
-        groups_.capacity() * sizeof(PatchGroup) + covers_.capacity() * sizeof(CoverPlane);
+        groups_.capacity() * sizeof(PatchGroup) + covers_.capacity() * sizeof(covers_[0]);
     for (const Level& level : levels_)
         bytes += level.tiles.capacity() * sizeof(Entry);
     return bytes;

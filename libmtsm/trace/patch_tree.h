@@ -13,10 +13,11 @@
 // Coverage. Texels of level 0 are pixels, covered or not. A texel of a coarser level
 // holds the share of its pixels that the patch covers, counted exactly and then in
 // sixteenths by ordered dither, so that no mean is off: a ray is blocked by the share,
-// against a threshold of its own.
+// against a threshold of its own. Kept are the rows of texels that the patch's box has.
 #pragma once
 #include <bit>
 #include <cstdint>
+#include <cstring>
 #include <vector>
 
 #include "mtsm/map.h"
@@ -41,13 +42,32 @@ struct Patch {
     float texel;  ///< side of a texel that is partly covered, pixels; 0: none is
     std::uint32_t children;     ///< first group
     std::uint32_t childGroups;  ///< 0: a leaf
-    std::uint32_t cover;        ///< first plane of its coverage
+    std::uint32_t cover;        ///< first row of its coverage
     std::uint8_t level;
     /// Four planes of coverage, the bits of a number from 0 to 15: sixteenths, 15 is all.
-    /// Else one plane: all or nothing.
+    /// Else one plane: all or nothing. A plane has a row for each row of texels of the
+    /// box: bit x is column x of the tile, and outside the box none is set.
     bool shared;
     bool sheet;  ///< one connected surface that fills the box
     bool bumpy;  ///< a leaf; its coverage is a BumpPlane
+
+    [[nodiscard]] float texelSide() const noexcept { return float(1u << level); }
+    /// Upper left corner of its tile, pixels.
+    [[nodiscard]] float cornerU() const noexcept { return cornerOf(u); }
+    [[nodiscard]] float cornerV() const noexcept { return cornerOf(v); }
+    /// Rows and columns of the tile's texels that the box takes up.
+    [[nodiscard]] int firstRow() const noexcept { return texels(v - halfV - cornerV()); }
+    [[nodiscard]] int rows() const noexcept { return texels(2.0f * halfV); }
+    [[nodiscard]] int firstColumn() const noexcept {
+        return texels(u - halfU - cornerU());
+    }
+    [[nodiscard]] int columns() const noexcept { return texels(2.0f * halfU); }
+
+  private:
+    [[nodiscard]] float cornerOf(float centre) const noexcept {
+        return float(std::uint32_t(centre) >> (level + 4) << (level + 4));
+    }
+    [[nodiscard]] int texels(float pixels) const noexcept { return int(pixels) >> level; }
 };
 
 /// Four patches that are looked at together: first of all what hulls of rays are tested
@@ -83,11 +103,6 @@ struct alignas(16) PatchGroup {
 };
 static_assert(sizeof(PatchGroup) == 144);
 
-/// One bit per texel: bit x of row y.
-struct CoverPlane {
-    std::uint16_t row[kTexels];
-};
-
 /// Of the pixels of a square of 4 x 4, row by row: the sample is
 /// `residual` / kSteps times this above the patch's plane there, w.
 struct BumpPlane {
@@ -96,7 +111,7 @@ struct BumpPlane {
     static constexpr std::int16_t kNone = -32768;  ///< no sample
     std::int16_t offset[kSide * kSide];
 };
-static_assert(sizeof(BumpPlane) == sizeof(CoverPlane));
+static_assert(sizeof(BumpPlane) == kTexels * sizeof(std::uint16_t));
 
 class PatchTree {
   public:
@@ -122,10 +137,13 @@ class PatchTree {
 
     [[nodiscard]] const std::vector<Level>& levels() const noexcept { return levels_; }
     [[nodiscard]] const PatchGroup* groups() const noexcept { return groups_.data(); }
-    [[nodiscard]] const CoverPlane* covers() const noexcept { return covers_.data(); }
+    /// Rows of texels; after the last patch's there are kTexels more.
+    [[nodiscard]] const std::uint16_t* covers() const noexcept { return covers_.data(); }
     /// Of a bumpy patch.
     [[nodiscard]] BumpPlane bumps(std::uint32_t cover) const noexcept {
-        return std::bit_cast<BumpPlane>(covers_[cover]);
+        BumpPlane bumps;
+        std::memcpy(&bumps, &covers_[cover], sizeof bumps);
+        return bumps;
     }
     /// Of all patches.
     [[nodiscard]] float lowest() const noexcept { return lowest_; }
@@ -142,7 +160,7 @@ class PatchTree {
     friend class PatchBuilder;
     std::vector<Level> levels_;
     std::vector<PatchGroup> groups_;
-    std::vector<CoverPlane> covers_;
+    std::vector<std::uint16_t> covers_;
     float lowest_ = 0.0f, highest_ = 0.0f, margin_ = 0.0f;
     float pieceSize_ = 0.0f;
 };

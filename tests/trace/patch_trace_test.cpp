@@ -314,9 +314,9 @@ TEST_CASE("rough surfaces block by their pixels, each on a plane of its own",
     const auto addLeaf = [&](const trace::Patch& g) {
         if (!g.bumpy) {
             const double u = std::floor(g.u / 16) * 16, v = std::floor(g.v / 16) * 16;
-            for (int t = 0; t < 256; ++t) {
-                if (tree.covers()[g.cover].row[t / 16] >> (t % 16) & 1)
-                    add(g, u + t % 16, v + t / 16, 0.0);
+            for (int t = 0; t < 16 * g.rows(); ++t) {
+                if (tree.covers()[g.cover + std::uint32_t(t / 16)] >> (t % 16) & 1)
+                    add(g, u + t % 16, v + g.firstRow() + t / 16, 0.0);
             }
             return;
         }

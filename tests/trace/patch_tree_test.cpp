@@ -54,10 +54,6 @@ std::uint32_t cornerOf(float centre, std::uint8_t level) {
     return std::uint32_t(centre) / side * side;
 }
 
-bool bitOf(const trace::CoverPlane& plane, std::uint32_t x, std::uint32_t y) {
-    return plane.row[y] >> x & 1;
-}
-
 class Checker {
   public:
     explicit Checker(const ShadowMap& map)
@@ -108,8 +104,12 @@ class Checker {
     [[nodiscard]] Patch patchOf(PatchName patch) const {
         return tree_.groups()[patch.first].patch(patch.second);
     }
-    [[nodiscard]] const trace::CoverPlane* coverOf(PatchName patch) const {
-        return tree_.covers() + patchOf(patch).cover;
+    /// Of plane k of a patch's coverage.
+    [[nodiscard]] bool bitOf(const Patch& g, int k, std::uint32_t x,
+                             std::uint32_t y) const {
+        const int row = int(y) - g.firstRow();
+        if (row < 0 || row >= g.rows()) return false;
+        return tree_.covers()[g.cover + std::uint32_t(k * g.rows() + row)] >> x & 1;
     }
     void expect(bool holds, const char* what) {
         if (!holds) ++failures_[what];
@@ -140,7 +140,7 @@ class Checker {
     }
     [[nodiscard]] bool isCovered(PatchName patch, std::uint32_t p) const {
         if (patchOf(patch).bumpy) return bumpOf(patch, p) != trace::BumpPlane::kNone;
-        return bitOf(*coverOf(patch), p % 16, p / 16);
+        return bitOf(patchOf(patch), 0, p % 16, p / 16);
     }
 
     [[nodiscard]] bool holds(PatchName leaf, const Sample& s) const {
@@ -250,7 +250,7 @@ class Checker {
     [[nodiscard]] double shareOf(PatchName patch, std::uint32_t p) const {
         int share = 0;
         for (int k = 0; k < 4; ++k)
-            share |= int(bitOf(coverOf(patch)[k], p % 16, p / 16)) << k;
+            share |= int(bitOf(patchOf(patch), k, p % 16, p / 16)) << k;
         return share == 15 ? 16.0 : share;
     }
 
