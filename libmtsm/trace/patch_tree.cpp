@@ -455,25 +455,24 @@ class TilePieces {
     std::size_t divide(std::span<const Sample> samples, Square square, Slope likely,
                        std::array<Node, 4>& quarters, Parts& parts) {
         const int half = square.size / 2;
-        std::array<Sample, 256> sorted;
-        std::array<std::size_t, 5> end{};  // of the quarter before
-        const auto quarterOf = [&](const Sample& s) {
-            return std::size_t(s.x >= square.x + half) +
-                   2 * std::size_t(s.y >= square.y + half);
-        };
-        for (const Sample& s : samples)
-            ++end[quarterOf(s) + 1];
-        for (std::size_t q = 1; q < 4; ++q)
-            end[q] += end[q - 1];
-        for (const Sample& s : samples)
-            sorted[end[quarterOf(s)]++] = s;
+        Sample left[256], right[256];
         std::size_t count = 0;
-        for (std::size_t q = 0, begin = 0; q < 4; begin = end[q], ++q) {
-            if (begin == end[q]) continue;
-            const Square part{square.x + int(q & 1) * half, square.y + int(q >> 1) * half,
-                              half};
-            quarters[count++] =
-                emit({&sorted[begin], end[q] - begin}, part, likely, parts);
+        auto next = samples.begin();
+        for (const int lower : {0, 1}) {  // samples are in the order of rows
+            const int end = square.y + half + lower * half;
+            std::size_t lefts = 0, rights = 0;
+            for (; next != samples.end() && next->y < end; ++next) {
+                const bool isRight = next->x >= square.x + half;
+                left[lefts] = right[rights] = *next;
+                lefts += !isRight, rights += isRight;
+            }
+            const int y = end - half;
+            if (lefts > 0)
+                quarters[count++] =
+                    emit({left, lefts}, {square.x, y, half}, likely, parts);
+            if (rights > 0)
+                quarters[count++] =
+                    emit({right, rights}, {square.x + half, y, half}, likely, parts);
         }
         return count;
     }
@@ -539,16 +538,15 @@ class TilePieces {
 
     [[nodiscard]] Node flatNode(std::span<const Sample> samples, Slope likely) const {
         Node node;
-        std::uint32_t x0 = kTexels, x1 = 0;
+        std::uint32_t columns = 0;
         for (const Sample& s : samples)
-            x0 = std::min<std::uint32_t>(x0, s.x), x1 = std::max<std::uint32_t>(x1, s.x);
-        const std::uint32_t y0 = samples.front().y, y1 = samples.back().y;  // row by row
-        const auto place = [](std::uint32_t corner, std::uint32_t x) {
-            return float(corner + x);
-        };
-        node.box = {place(corner_.x, x0), place(corner_.y, y0), place(corner_.x, x1 + 1),
-                    place(corner_.y, y1 + 1)};
-        node.sheet = samples.size() == std::size_t(x1 + 1 - x0) * (y1 + 1 - y0);
+            columns |= 1u << s.x;
+        const auto x0 = std::uint32_t(std::countr_zero(columns));
+        const auto x1 = std::uint32_t(std::bit_width(columns));
+        const std::uint32_t y0 = samples.front().y, y1 = samples.back().y + 1u;
+        node.box = {float(corner_.x + x0), float(corner_.y + y0), float(corner_.x + x1),
+                    float(corner_.y + y1)};
+        node.sheet = samples.size() == std::size_t(x1 - x0) * (y1 - y0);
         node.moments = momentsOf(samples);
         node.plane = fit(node.moments, likely,
                          kSteepest * footprint_.at(node.moments.w / node.moments.n));
@@ -557,8 +555,8 @@ class TilePieces {
         for (const Sample& s : samples) {
             const double on = node.plane.at(u_[s.x], v_[s.y]);
             node.residual = std::max(node.residual, std::abs(float(s.w - on)));
-            low = std::min({low, s.w, float(on)});
-            high = std::max({high, s.w, float(on)});
+            low = std::min(low, std::min(s.w, float(on)));
+            high = std::max(high, std::max(s.w, float(on)));
         }
         const auto reach = float(
             0.5 * (std::abs(node.plane.gradientU) + std::abs(node.plane.gradientV)));
@@ -667,6 +665,8 @@ class Coarsening {
         });
         next_.assign(nodes_.size(), kNone);
         clusters_.clear();
+        for (std::vector<float>* v : {&planeW_, &planeU_, &planeV_, &slack_, &away_})
+            v->resize(nodes_.size());
         for (const auto& [n, i] : order_)
             clusters_.push_back({nodes_[i]->plane, nodes_[i]->moments, i, i, 1});
     }
@@ -683,19 +683,23 @@ class Coarsening {
                 clusters_[made++] = c;
             else
                 join(clusters_[best], c);
+            setPlane(best);
         }
         clusters_.resize(made);
     }
 
     /// Of the first `made`; `made` if it fits none within `least`.
-    [[nodiscard]] std::size_t findBest(const Cluster& c, std::size_t made,
-                                       float least) const {
+    [[nodiscard]] std::size_t findBest(const Cluster& c, std::size_t made, float least) {
         const double u = c.moments.u / c.moments.n, v = c.moments.v / c.moments.n;
         const double w = c.moments.w / c.moments.n;
+        // A quick look at the middle first, and before that one that may err.
+        const auto away =
+            lookAt(float(u - corner_.x), float(v - corner_.y), float(w), made);
+        const float most = least + 0x1p-20f * std::abs(float(w));
         std::size_t best = made;
         for (std::size_t k = 0; k < made; ++k) {
+            if (away[k] > most) continue;
             const Cluster& other = clusters_[k];
-            // A quick look at the middle first.
             if (std::abs(other.plane.at(u, v) - w) > least) continue;
             if (other.members + c.members > kMostMembers) continue;
             float distance = 0;
@@ -707,6 +711,26 @@ class Coarsening {
             }
         }
         return best;
+    }
+
+    /// How far planes of the first `made` are from a place, at least but for 2^-20 w.
+    const float* lookAt(float u, float v, float w, std::size_t made) {
+        const float *at = planeW_.data(), *perU = planeU_.data(), *perV = planeV_.data();
+        const float* slack = slack_.data();
+        float* away = away_.data();
+        for (std::size_t k = 0; k < made; ++k)
+            away[k] = std::abs(at[k] + perU[k] * u + perV[k] * v - w) - slack[k];
+        return away;
+    }
+
+    /// Its plane as lookAt has it.
+    void setPlane(std::size_t k) {
+        const Plane& p = clusters_[k].plane;
+        planeW_[k] = float(p.at(corner_.x, corner_.y));
+        planeU_[k] = float(p.gradientU), planeV_[k] = float(p.gradientV);
+        slack_[k] =
+            0x1p-20f * (std::abs(planeW_[k]) +
+                        float(side_) * (std::abs(planeU_[k]) + std::abs(planeV_[k])));
     }
 
     void join(Cluster& to, const Cluster& c) {
@@ -928,6 +952,7 @@ class Coarsening {
     std::vector<std::pair<double, std::uint32_t>> order_;
     std::vector<std::uint32_t> next_;  // member of the same cluster
     std::vector<Cluster> clusters_;
+    std::vector<float> planeW_, planeU_, planeV_, slack_, away_;  // of clusters: lookAt
     std::vector<std::uint32_t> members_;  // of the cluster at hand
     std::vector<std::uint32_t> maskAt_;   // by tile of level 0
 };
