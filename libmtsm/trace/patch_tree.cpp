@@ -5,6 +5,7 @@
 #include <array>
 #include <bit>
 #include <cmath>
+#include <cstring>
 #include <new>
 #include <span>
 #include <utility>
@@ -665,8 +666,9 @@ class Coarsening {
         });
         next_.assign(nodes_.size(), kNone);
         clusters_.clear();
-        for (std::vector<float>* v : {&planeW_, &planeU_, &planeV_, &slack_, &away_})
+        for (std::vector<float>* v : {&planeW_, &planeU_, &planeV_, &slack_})
             v->resize(nodes_.size());
+        near_.resize(nodes_.size() + 8);
         for (const auto& [n, i] : order_)
             clusters_.push_back({nodes_[i]->plane, nodes_[i]->moments, i, i, 1});
     }
@@ -692,13 +694,9 @@ class Coarsening {
     [[nodiscard]] std::size_t findBest(const Cluster& c, std::size_t made, float least) {
         const double u = c.moments.u / c.moments.n, v = c.moments.v / c.moments.n;
         const double w = c.moments.w / c.moments.n;
-        // A quick look at the middle first, and before that one that may err.
-        const auto away =
-            lookAt(float(u - corner_.x), float(v - corner_.y), float(w), made);
-        const float most = least + 0x1p-20f * std::abs(float(w));
+        findNear(float(u - corner_.x), float(v - corner_.y), float(w), least, made);
         std::size_t best = made;
-        for (std::size_t k = 0; k < made; ++k) {
-            if (away[k] > most) continue;
+        for (const std::uint32_t k : candidates_) {
             const Cluster& other = clusters_[k];
             if (std::abs(other.plane.at(u, v) - w) > least) continue;
             if (other.members + c.members > kMostMembers) continue;
@@ -713,17 +711,33 @@ class Coarsening {
         return best;
     }
 
-    /// How far planes of the first `made` are from a place, at least but for 2^-20 w.
-    const float* lookAt(float u, float v, float w, std::size_t made) {
+    /// Candidates: of the first `made` those whose planes may be so near to a place. A
+    /// quick look, that takes too many rather than too few.
+    void findNear(float u, float v, float w, float least, std::size_t made) {
         const float *at = planeW_.data(), *perU = planeU_.data(), *perV = planeV_.data();
         const float* slack = slack_.data();
-        float* away = away_.data();
-        for (std::size_t k = 0; k < made; ++k)
-            away[k] = std::abs(at[k] + perU[k] * u + perV[k] * v - w) - slack[k];
-        return away;
+        std::uint8_t* near = near_.data();
+        const float most = least + 0x1p-20f * std::abs(w);
+        for (std::size_t k = 0; k < made; ++k) {
+            const float away = std::abs(at[k] + perU[k] * u + perV[k] * v - w);
+            near[k] = !(away - slack[k] > most);
+        }
+        std::fill_n(near + made, 8, std::uint8_t(0));
+        candidates_.resize(made + 8);
+        std::size_t count = 0;
+        for (std::size_t k = 0; k < made; k += 8) {
+            std::uint64_t eight;
+            std::memcpy(&eight, near + k, sizeof eight);
+            if (eight == 0) continue;
+            for (std::size_t i = k; i < k + 8; ++i) {
+                candidates_[count] = std::uint32_t(i);
+                count += near[i];
+            }
+        }
+        candidates_.resize(count);
     }
 
-    /// Its plane as lookAt has it.
+    /// Its plane as findNear has it.
     void setPlane(std::size_t k) {
         const Plane& p = clusters_[k].plane;
         planeW_[k] = float(p.at(corner_.x, corner_.y));
@@ -922,10 +936,21 @@ class Coarsening {
     /// Of a row of texels.
     static void countRow(const std::uint16_t* rows, std::uint32_t texel,
                          std::uint32_t* to) {
-        const std::uint32_t inside = (1u << texel) - 1;
-        for (std::uint32_t i = 0; i < kTexels / texel; ++i) {
-            for (std::uint32_t row = 0; row < texel; ++row)
-                to[i] += ones(rows[row] >> (i * texel) & inside);
+        // Sums of neighbouring texels are kept apart: one of a pair in each half.
+        std::uint32_t even = 0, odd = 0;
+        const std::uint32_t mask = texel == 2 ? 0x3333 : texel == 4 ? 0x0f0f : 0x00ff;
+        for (std::uint32_t row = 0; row < texel; ++row) {
+            std::uint32_t bits = rows[row];
+            bits -= bits >> 1 & 0x5555;
+            if (texel > 2) bits = (bits & 0x3333) + (bits >> 2 & 0x3333);
+            if (texel > 4) bits = (bits + (bits >> 4)) & 0x0f0f;
+            even += bits & mask;
+            odd += bits >> texel & mask;
+        }
+        for (std::uint32_t i = 0; i < kTexels / texel; i += 2) {
+            const std::uint32_t field = (1u << 2 * texel) - 1;
+            to[i] += even >> (i * texel) & field;
+            to[i + 1] += odd >> (i * texel) & field;
         }
     }
 
@@ -952,7 +977,9 @@ class Coarsening {
     std::vector<std::pair<double, std::uint32_t>> order_;
     std::vector<std::uint32_t> next_;  // member of the same cluster
     std::vector<Cluster> clusters_;
-    std::vector<float> planeW_, planeU_, planeV_, slack_, away_;  // of clusters: lookAt
+    std::vector<float> planeW_, planeU_, planeV_, slack_;  // of clusters: findNear
+    std::vector<std::uint8_t> near_;
+    std::vector<std::uint32_t> candidates_;
     std::vector<std::uint32_t> members_;  // of the cluster at hand
     std::vector<std::uint32_t> maskAt_;   // by tile of level 0
 };
