@@ -64,7 +64,7 @@ constexpr int kMostLevels = 24;
 
 /// Groups that wait, with the receivers that they may still matter to.
 struct Waiting {
-    std::uint32_t group, groups;
+    PatchList list;
     std::uint16_t lanes;
 };
 
@@ -76,12 +76,13 @@ class Queue {
     [[nodiscard]] bool empty() const { return first_ == last_; }
     void push(Waiting w) { waiting_[last_++ % kSize] = w; }
     /// Takes one group.
-    std::uint32_t pop(std::uint16_t& lanes) {
+    std::uint32_t pop(std::uint32_t& slots, std::uint16_t& lanes) {
         const bool full = last_ - first_ > kSize / 2;
         Waiting& w = waiting_[(full ? last_ - 1 : first_) % kSize];
-        const std::uint32_t group = w.group++;
+        slots = w.list.slotsOf(0);
         lanes = w.lanes;
-        if (--w.groups == 0) full ? --last_ : ++first_;
+        const std::uint32_t group = w.list.group++;
+        if (--w.list.groups == 0) full ? --last_ : ++first_;
         return group;
     }
 
@@ -154,8 +155,7 @@ void enterTiles(const PatchTree& tree, const RayHull& hull, bool wide, std::size
     for (std::uint32_t y = place(v0, entry.rows); y <= place(v1, entry.rows); ++y) {
         for (std::uint32_t x = place(u0, entry.columns); x <= place(u1, entry.columns);
              ++x) {
-            const PatchTree::Entry& tile =
-                entry.tiles[std::size_t(y) * entry.columns + x];
+            const PatchList& tile = entry.tiles[std::size_t(y) * entry.columns + x];
             if (tile.groups > 0) take(tile);
         }
     }
@@ -224,8 +224,8 @@ class Traversal {
     /// were many, of a coarser one.
     void enter() {
         enterTiles(tree_, hull_, anyWide_, std::size_t(std::max(top_, 1)),
-                   [&](const PatchTree::Entry& tile) {
-                       queue_.push({tile.group, tile.groups, lanes_});
+                   [&](const PatchList& tile) {
+                       queue_.push({tile, lanes_});
                    });
     }
 
@@ -241,8 +241,9 @@ class Traversal {
             groups[i] = tree_.groups();  // any one, if there is none to look at
             lanes[i] = 0;
             if (!queue_.empty()) {
-                groups[i] += queue_.pop(lanes[i]);
-                met |= 15u << (4 * i);
+                std::uint32_t slots = 0;
+                groups[i] += queue_.pop(slots, lanes[i]);
+                met |= slots << (4 * i);
             }
         }
         std::uint32_t reached = 0;
@@ -352,7 +353,7 @@ class Traversal {
         const std::uint64_t groups = groupsMet(p);
         if (groups == 0) return;
         std::uint32_t answered = lanes;
-        if (p.childGroups > 0) {
+        if (!p.isLeaf()) {
             answered &= mayAnswer_[p.level];
             if (answered && p.sheet) test<Kind::sheet>(p, groups, answered);
             answered &= far & ~std::uint32_t(bundle_.wide);
@@ -363,8 +364,9 @@ class Traversal {
             test<Kind::whole>(p, groups, answered);
         const std::uint32_t rest = lanes & ~answered & lanes_;
         if (rest == 0) return;
-        queue_.push({p.children, p.childGroups, std::uint16_t(rest)});
-        const auto* next = reinterpret_cast<const char*>(tree_.groups() + p.children);
+        queue_.push({p.children, std::uint16_t(rest)});
+        const auto* next =
+            reinterpret_cast<const char*>(tree_.groups() + p.children.group);
         for (std::size_t at = 0; at < sizeof(PatchGroup); at += 64)
             hwy::Prefetch(next + at);
     }
@@ -403,7 +405,7 @@ class Traversal {
                         p.columns(),
                         p.firstRow(),
                         p.rows(),
-                        (p.children * 0x9e3779b1u) >> 28};
+                        (p.cover * 0x9e3779b1u) >> 28};
         for (lanes &= lanes_; lanes; lanes &= lanes - 1) {
             const int receiver = std::countr_zero(lanes);
             Batch batch;
@@ -570,7 +572,7 @@ class Glance {
 
     bool run() {
         enterTiles(tree_, hull_, false, firstLevel(),
-                   [&](const PatchTree::Entry& tile) { push(tile.group, tile.groups); });
+                   [&](const PatchList& tile) { push(tile); });
         for (int looks = 0; waiting_ > 0; ++looks) {
             if (full_ || looks == kMostLooks || look()) return true;
         }
@@ -589,13 +591,13 @@ class Glance {
         return level;
     }
 
-    void push(std::uint32_t group, std::uint32_t groups) {
-        for (std::uint32_t i = 0; i < groups; ++i) {
+    void push(const PatchList& list) {
+        for (std::uint32_t i = 0; i < list.groups; ++i) {
             if (waiting_ == kSize) {
                 full_ = true;
                 return;
             }
-            stack_[waiting_++] = group + i;
+            stack_[waiting_++] = {list.group + i, 1, list.slotsOf(i)};
         }
     }
 
@@ -606,8 +608,9 @@ class Glance {
         for (int i = 0; i < 4; ++i) {
             groups[i] = tree_.groups();  // any one, if there is none to look at
             if (waiting_ > 0) {
-                groups[i] += stack_[--waiting_];
-                met |= 15u << (4 * i);
+                const PatchList& one = stack_[--waiting_];
+                groups[i] += one.group;
+                met |= std::uint32_t(one.slots) << (4 * i);
             }
         }
         std::uint32_t reached = 0;
@@ -616,7 +619,7 @@ class Glance {
         for (met &= reached; met; met &= met - 1) {
             const int i = std::countr_zero(met);
             if (isFine(groups[i / 4]->patch(i % 4))) return true;
-            push(groups[i / 4]->children[i % 4], groups[i / 4]->childGroups[i % 4]);
+            push(groups[i / 4]->childrenOf(i % 4));
         }
         return false;
     }
@@ -629,15 +632,14 @@ class Glance {
             hull_.uHigh - hull_.uLow + most * (hull_.slopeHighU - hull_.slopeLowU);
         const float v =
             hull_.vHigh - hull_.vLow + most * (hull_.slopeHighV - hull_.slopeLowV);
-        return p.childGroups == 0 ||
-               p.texel <= hull_.spread * kTexel * (p.low - hull_.wLow) ||
+        return p.isLeaf() || p.texel <= hull_.spread * kTexel * (p.low - hull_.wLow) ||
                std::max(p.halfU, p.halfV) <= std::max(u, v);
     }
 
     static constexpr int kMostLooks = 16, kSize = 128;
     const PatchTree& tree_;
     const RayHull& hull_;
-    std::uint32_t stack_[kSize];
+    PatchList stack_[kSize];  // of one group each
     int waiting_ = 0;
     bool full_ = false;
 };

@@ -29,8 +29,9 @@ constexpr float kFlatAlone = 0.3f, kFlatBesideNearField = 3.0f;
 
 /// Members of a coarser patch: its groups are counted in a byte.
 constexpr std::size_t kMostMembers = 4 * 255;
-/// Groups and covers of a tree have numbers of 32 bits; entries of levels still join.
-constexpr std::size_t kMostIds = std::size_t(1) << 31;
+/// What groups and rows of coverage of a tree are numbered up to.
+constexpr std::size_t kMostGroups = std::size_t(1) << PatchGroup::kGroupBits;
+constexpr std::size_t kMostRows = std::size_t(1) << 31;
 
 /// Sums over samples, enough to fit a plane to them.
 struct Moments {
@@ -97,7 +98,8 @@ struct Node {
     float residual = 0, low = 0, high = 0;
     Box box{};
     Moments moments;
-    std::uint32_t children = 0, childGroups = 0, cover = 0;
+    PatchList children;
+    std::uint32_t cover = 0;
     std::uint32_t masks = 0;  // how many PixelMasks it has
     std::uint8_t level = 0;
     bool shared = false, sheet = false, bumpy = false;
@@ -133,33 +135,6 @@ struct Nodes {
     std::vector<PixelMask> masks;  // of each node in turn
 
     void clear() { nodes.clear(), masks.clear(); }
-};
-
-/// What a task adds to the tree.
-struct Parts {
-    std::vector<PatchGroup> groups;
-    std::vector<std::uint16_t> covers;
-};
-
-/// A row of a level's tiles. Its own groups and covers are numbered from 0 and from
-/// kFullRows until it is known where they are to lie in the tree.
-struct TileRow {
-    Nodes all;
-    std::vector<std::uint32_t> begin{0};      // [tiles + 1] in all.nodes
-    std::vector<std::uint32_t> maskBegin{0};  // [tiles + 1] in all.masks
-    Parts parts;
-    std::size_t firstGroup = 0, firstCover = 0;
-    std::uint64_t samples = 0, pieces = 0;  // of level 0
-
-    void endTile() {
-        begin.push_back(std::uint32_t(all.nodes.size()));
-        maskBegin.push_back(std::uint32_t(all.masks.size()));
-    }
-};
-
-struct LevelRows {
-    std::uint32_t side = 0, columns = 0;
-    std::vector<TileRow> rows;
 };
 
 /// Where PatchTree::covers begins: for every range of columns as many equal rows as a
@@ -224,8 +199,9 @@ void store(const Node& node, PatchGroup& g, int i) {
     g.gradientU[i] = float(node.plane.gradientU);
     g.gradientV[i] = float(node.plane.gradientV);
     g.residual[i] = halveUp(node.residual);
-    g.children[i] = node.children;
-    g.childGroups[i] = std::uint8_t(node.childGroups);
+    g.children[i] = node.children.group | std::uint32_t(node.children.slots)
+                                              << PatchGroup::kGroupBits;
+    g.childGroups[i] = std::uint8_t(node.children.groups);
     g.cover[i] = node.cover;
     const bool sheet = node.sheet && box.area() == node.box.area();
     g.kind[i] = std::uint8_t(node.level | (node.shared ? PatchGroup::kShared : 0) |
@@ -233,18 +209,77 @@ void store(const Node& node, PatchGroup& g, int i) {
                              (node.bumpy ? PatchGroup::kBumpy : 0));
 }
 
-/// Appends nodes in groups of four; the first group's index.
-template <typename NodeAt>
-PatchTree::Entry append(std::vector<PatchGroup>& groups, std::size_t count,
-                        const NodeAt& nodeAt) {
-    const PatchTree::Entry entry{std::uint32_t(groups.size()),
-                                 std::uint32_t((count + 3) / 4)};
-    for (std::size_t i = 0; i < count; ++i) {
-        if (i % 4 == 0) groups.push_back(emptyGroup());
-        store(nodeAt(i), groups.back(), int(i % 4));
+/// Groups that lists of nodes are put into. What does not fill a group has it together
+/// with other lists.
+class Groups {
+  public:
+    template <typename NodeAt>
+    PatchList append(std::size_t count, const NodeAt& nodeAt) {
+        if (count == 0) return {};
+        for (std::size_t left = count; left < 4; ++left) {
+            if (open_[left].empty()) continue;
+            const std::uint32_t group = open_[left].back();
+            open_[left].pop_back();
+            return {group, 1, fill(group, 4 - left, 0, count, nodeAt)};
+        }
+        PatchList list{std::uint32_t(all_.size()), std::uint32_t((count + 3) / 4), 0};
+        for (std::size_t i = 0; i < count; i += 4) {
+            all_.push_back(emptyGroup());
+            list.slots = fill(std::uint32_t(all_.size() - 1), 0, i,
+                              std::min(count, i + 4), nodeAt);
+        }
+        return list;
     }
-    return entry;
-}
+
+    [[nodiscard]] std::vector<PatchGroup>& all() { return all_; }
+
+  private:
+    /// Puts nodes [begin, end) into a group's slots from `first` on; a bit for each.
+    template <typename NodeAt>
+    std::uint32_t fill(std::uint32_t group, std::size_t first, std::size_t begin,
+                       std::size_t end, const NodeAt& nodeAt) {
+        for (std::size_t i = begin; i < end; ++i)
+            store(nodeAt(i), all_[group], int(first + i - begin));
+        const std::size_t next = first + end - begin;
+        if (next < 4) open_[4 - next].push_back(group);
+        return (1u << next) - (1u << first);
+    }
+
+    std::vector<PatchGroup> all_;
+    std::array<std::vector<std::uint32_t>, 4> open_;  // by how many slots are left
+};
+
+/// What a task adds to the tree: groups of children and of whole tiles, coverage.
+struct Parts {
+    Groups children, tiles;
+    std::vector<std::uint16_t> covers;
+};
+
+/// A row of a level's tiles. Its groups and covers are numbered from 0 and from kFullRows
+/// until it is known where they are to lie in the tree.
+struct TileRow {
+    Nodes all;
+    std::vector<std::uint32_t> begin{0};      // [tiles + 1] in all.nodes
+    std::vector<std::uint32_t> maskBegin{0};  // [tiles + 1] in all.masks
+    std::vector<PatchList> tiles;
+    Parts parts;
+    std::size_t firstGroup = 0, firstCover = 0;
+    std::uint64_t samples = 0, pieces = 0;  // of level 0
+
+    void endTile() {
+        const Node* nodes = all.nodes.data() + begin.back();
+        begin.push_back(std::uint32_t(all.nodes.size()));
+        maskBegin.push_back(std::uint32_t(all.masks.size()));
+        const std::size_t count = begin.back() - begin[begin.size() - 2];
+        tiles.push_back(parts.tiles.append(
+            count, [&](std::size_t i) -> const Node& { return nodes[i]; }));
+    }
+};
+
+struct LevelRows {
+    std::uint32_t side = 0, columns = 0;
+    std::vector<TileRow> rows;
+};
 
 struct Footprint {
     double perW = 0, constant = 0;  // of a pixel, in w
@@ -441,11 +476,8 @@ class TilePieces {
                 node.low = std::min(node.low, quarters[q].low);
                 node.high = std::max(node.high, quarters[q].high);
             }
-            const PatchTree::Entry children =
-                append(parts.groups, count,
-                       [&](std::size_t i) -> const Node& { return quarters[i]; });
-            node.children = children.group;
-            node.childGroups = children.groups;
+            node.children = parts.children.append(
+                count, [&](std::size_t i) -> const Node& { return quarters[i]; });
         }
         roundBounds(node);
         addCover(samples, node, parts);
@@ -775,11 +807,9 @@ class Coarsening {
             node.residual = std::max(node.residual, mismatch(c.plane, n));
         }
         node.centre();
-        const PatchTree::Entry children =
-            append(parts.groups, members_.size(),
-                   [&](std::size_t i) -> const Node& { return *nodes_[members_[i]]; });
-        node.children = children.group;
-        node.childGroups = children.groups;
+        node.children = parts.children.append(
+            members_.size(),
+            [&](std::size_t i) -> const Node& { return *nodes_[members_[i]]; });
         node.sheet = isSheet(node);
         const std::size_t firstMask = made.masks.size();
         uniteMasks(made.masks);
@@ -1087,46 +1117,44 @@ class PatchBuilder {
         return level;
     }
 
-    /// Finds the places of a level's parts in the tree, and adds its tiles. `ownGroups`:
-    /// groups of a row have children and covers of the same row.
-    void settle(LevelRows& level, bool ownGroups) {
+    /// Finds the places of a level's parts in the tree. `first`: it is the first level to
+    /// have any, and groups of children have children and covers of the same row.
+    void settle(LevelRows& level, bool first) {
         for (TileRow& row : level.rows) {
             row.firstGroup = groups_, row.firstCover = covers_;
-            groups_ += row.parts.groups.size();
-            for (std::size_t tile = 0; tile < level.columns; ++tile)
-                groups_ += (row.begin[tile + 1] - row.begin[tile] + 3) / 4;
+            groups_ += row.parts.children.all().size() + row.parts.tiles.all().size();
             covers_ += row.parts.covers.size();
-            if (groups_ > kMostIds || covers_ > kMostIds) throw std::bad_alloc();
+            if (groups_ > kMostGroups || covers_ > kMostRows) throw std::bad_alloc();
             samples_ += row.samples, pieces_ += row.pieces;
         }
-        const auto rows = std::uint32_t(level.rows.size());
-        tree_.levels_.push_back({level.side, level.columns, rows, {}});
-        std::vector<PatchTree::Entry>& tiles = tree_.levels_.back().tiles;
-        tiles.resize(std::size_t(level.columns) * rows);
         base::parallelFor(std::size_t(0), level.rows.size(), [&](std::size_t y) {
             TileRow& row = level.rows[y];
-            for (Node& n : row.all.nodes)
-                move(row, n.children, n.childGroups, n.cover);
-            for (PatchGroup& g : row.parts.groups) {
-                for (int i = 0; ownGroups && i < 4; ++i)
-                    move(row, g.children[i], g.childGroups[i], g.cover[i]);
+            const auto firstGroup = std::uint32_t(row.firstGroup);
+            const auto firstCover = std::uint32_t(row.firstCover);
+            for (Node& n : row.all.nodes) {
+                n.children.group += firstGroup;
+                if (n.cover >= kFullRows) n.cover += firstCover;
             }
-            for (std::size_t x = 0; x < level.columns; ++x) {
-                const Node* nodes = row.all.nodes.data() + row.begin[x];
-                PatchTree::Entry& tile = tiles[y * level.columns + x];
-                tile = append(row.parts.groups, row.begin[x + 1] - row.begin[x],
-                              [&](std::size_t i) -> const Node& { return nodes[i]; });
-                tile.group += std::uint32_t(row.firstGroup);
-            }
+            const auto move = [&](std::vector<PatchGroup>& groups) {
+                for (PatchGroup& g : groups) {
+                    for (int i = 0; i < 4; ++i) {
+                        g.children[i] += g.childGroups[i] > 0 ? firstGroup : 0;
+                        g.cover[i] += g.cover[i] >= kFullRows ? firstCover : 0;
+                    }
+                }
+            };
+            move(row.parts.tiles.all());
+            if (first) move(row.parts.children.all());
+            for (PatchList& tile : row.tiles)
+                tile.group += std::uint32_t(firstGroup + row.parts.children.all().size());
         });
-        for (TileRow& row : level.rows)
+        tree_.levels_.push_back(
+            {level.side, level.columns, std::uint32_t(level.rows.size()), {}});
+        for (TileRow& row : level.rows) {
+            std::vector<PatchList>& tiles = tree_.levels_.back().tiles;
+            tiles.insert(tiles.end(), row.tiles.begin(), row.tiles.end());
             placed_.push_back({std::move(row.parts), row.firstGroup, row.firstCover});
-    }
-
-    static void move(const TileRow& row, std::uint32_t& children, std::uint32_t groups,
-                     std::uint32_t& cover) {
-        if (groups > 0) children += std::uint32_t(row.firstGroup);
-        if (cover >= kFullRows) cover += std::uint32_t(row.firstCover);
+        }
     }
 
     void putTogether() {
@@ -1135,12 +1163,16 @@ class PatchBuilder {
         tree_.covers_.resize(full.size() + covers_ + kTexels);  // kernels read further
         std::copy(full.begin(), full.end(), tree_.covers_.begin());
         base::parallelFor(std::size_t(0), placed_.size(), [&](std::size_t i) {
-            const Placed& p = placed_[i];
-            std::copy(p.parts.groups.begin(), p.parts.groups.end(),
-                      tree_.groups_.begin() + std::ptrdiff_t(p.firstGroup));
-            std::copy(p.parts.covers.begin(), p.parts.covers.end(),
-                      tree_.covers_.begin() + std::ptrdiff_t(full.size() + p.firstCover));
-            placed_[i] = {};
+            Placed& p = placed_[i];
+            const auto copy = [](const auto& from, auto to) {
+                return std::copy(from.begin(), from.end(), to);
+            };
+            const auto tiles = copy(p.parts.children.all(),
+                                    tree_.groups_.begin() + std::ptrdiff_t(p.firstGroup));
+            copy(p.parts.tiles.all(), tiles);
+            copy(p.parts.covers,
+                 tree_.covers_.begin() + std::ptrdiff_t(full.size() + p.firstCover));
+            p = {};
         });
     }
 
@@ -1188,7 +1220,7 @@ std::uint64_t PatchTree::memoryBytes() const noexcept {
     std::uint64_t bytes =
         groups_.capacity() * sizeof(PatchGroup) + covers_.capacity() * sizeof(covers_[0]);
     for (const Level& level : levels_)
-        bytes += level.tiles.capacity() * sizeof(Entry);
+        bytes += level.tiles.capacity() * sizeof(PatchList);
     return bytes;
 }
 

@@ -32,6 +32,19 @@ using UpperHalf = std::uint16_t;
     return std::bit_cast<float>(std::uint32_t(bits) << 16);
 }
 
+/// Patches that are looked at together: those of these groups, of the last group some. In
+/// the rest of that one are patches of other lists.
+struct PatchList {
+    std::uint32_t group = 0;
+    std::uint32_t groups : 28 = 0;
+    std::uint32_t slots : 4 = 0;  ///< of the last group: which, a bit each
+
+    /// Slots of group number i of the list.
+    [[nodiscard]] std::uint32_t slotsOf(std::uint32_t i) const noexcept {
+        return i + 1 == groups ? slots : 15;
+    }
+};
+
 /// A piece of surface, in straight space: pixels and w.
 struct Patch {
     float high,
@@ -39,10 +52,9 @@ struct Patch {
     float w, gradientU, gradientV;  ///< plane: depth at the box's centre, slope
     float residual;                 ///< largest distance from the plane, in w
     float u, v, halfU, halfV;       ///< box of its texels: centre, half sides
-    float texel;  ///< side of a texel that is partly covered, pixels; 0: none is
-    std::uint32_t children;     ///< first group
-    std::uint32_t childGroups;  ///< 0: a leaf
-    std::uint32_t cover;        ///< first row of its coverage
+    float texel;          ///< side of a texel that is partly covered, pixels; 0: none is
+    PatchList children;   ///< none: a leaf
+    std::uint32_t cover;  ///< first row of its coverage
     std::uint8_t level;
     /// Four planes of coverage, the bits of a number from 0 to 15: sixteenths, 15 is all.
     /// Else one plane: all or nothing. A plane has a row for each row of texels of the
@@ -51,6 +63,7 @@ struct Patch {
     bool sheet;  ///< one connected surface that fills the box
     bool bumpy;  ///< a leaf; its coverage is a BumpPlane
 
+    [[nodiscard]] bool isLeaf() const noexcept { return children.groups == 0; }
     [[nodiscard]] float texelSide() const noexcept { return float(1u << level); }
     /// Upper left corner of its tile, pixels.
     [[nodiscard]] float cornerU() const noexcept { return cornerOf(u); }
@@ -74,18 +87,24 @@ struct Patch {
 /// against. Each field as Patch has it, or what that is made of.
 struct alignas(16) PatchGroup {
     static constexpr int kShared = 32, kSheet = 64, kBumpy = 128;
+    static constexpr int kGroupBits = 28;
 
     float w[4];
     UpperHalf above[4], below[4];  ///< from w to high and to low; -infinity: no patch
     std::uint16_t u0[4], v0[4], u1[4], v1[4];  ///< box, pixels
     float gradientU[4], gradientV[4];
     UpperHalf residual[4];
-    std::uint32_t children[4], cover[4];
+    std::uint32_t children[4];  ///< first group, and above kGroupBits the last's slots
+    std::uint32_t cover[4];
     std::uint8_t childGroups[4];
     std::uint8_t kind[4];  ///< level, and what it is
 
     [[nodiscard]] float high(int i) const noexcept { return w[i] + widen(above[i]); }
     [[nodiscard]] float low(int i) const noexcept { return w[i] - widen(below[i]); }
+    [[nodiscard]] PatchList childrenOf(int i) const noexcept {
+        return {children[i] & ((1u << kGroupBits) - 1), childGroups[i],
+                children[i] >> kGroupBits};
+    }
     [[nodiscard]] Patch patch(int i) const noexcept {
         Patch p;
         p.high = high(i), p.low = low(i), p.w = w[i];
@@ -93,7 +112,7 @@ struct alignas(16) PatchGroup {
         p.residual = widen(residual[i]);
         p.u = 0.5f * float(u0[i] + u1[i]), p.v = 0.5f * float(v0[i] + v1[i]);
         p.halfU = 0.5f * float(u1[i] - u0[i]), p.halfV = 0.5f * float(v1[i] - v0[i]);
-        p.children = children[i], p.childGroups = childGroups[i], p.cover = cover[i];
+        p.children = childrenOf(i), p.cover = cover[i];
         p.level = kind[i] & 31;
         p.shared = kind[i] & kShared, p.sheet = kind[i] & kSheet;
         p.bumpy = kind[i] & kBumpy;
@@ -121,18 +140,15 @@ class PatchTree {
         float flatness = 0.3f;
     };
     /// The tree of an opaque map's face; the same for any number of threads. Throws
-    /// std::bad_alloc, also where groups or covers are more than 32 bits count.
+    /// std::bad_alloc, also where groups or covers are more than 28 and 32 bits count.
     [[nodiscard]] static PatchTree build(const ShadowMap& map, std::uint32_t face,
                                          const Options& options);
 
-    /// Groups of one tile of a level.
-    struct Entry {
-        std::uint32_t group = 0, groups = 0;
-    };
     struct Level {
         std::uint32_t side = 0;  ///< of a tile, pixels
         std::uint32_t columns = 0, rows = 0;
-        std::vector<Entry> tiles;  ///< row-major; of level 0 none, if it is not the last
+        /// Row-major; of level 0 none, if it is not the last.
+        std::vector<PatchList> tiles;
     };
 
     [[nodiscard]] const std::vector<Level>& levels() const noexcept { return levels_; }

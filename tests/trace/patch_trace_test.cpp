@@ -329,19 +329,17 @@ TEST_CASE("rough surfaces block by their pixels, each on a plane of its own",
             ++bumpy;
         }
     };
-    std::vector<PatchTree::Entry> waiting = tree.levels().back().tiles;
+    std::vector<trace::PatchList> waiting = tree.levels().back().tiles;
     while (!waiting.empty()) {
-        const PatchTree::Entry entry = waiting.back();
+        const trace::PatchList list = waiting.back();
         waiting.pop_back();
-        for (std::uint32_t n = entry.group; n < entry.group + entry.groups; ++n) {
-            for (int i = 0; i < 4; ++i) {
-                const trace::Patch g = tree.groups()[n].patch(i);
-                if (g.high == -HUGE_VALF) continue;
-                if (g.childGroups > 0)
-                    waiting.push_back({g.children, g.childGroups});
-                else
-                    addLeaf(g);
-            }
+        for (std::uint32_t n = 0; n < 4 * list.groups; ++n) {
+            if (!(list.slotsOf(n / 4) >> (n % 4) & 1)) continue;
+            const trace::Patch g = tree.groups()[list.group + n / 4].patch(int(n % 4));
+            if (g.isLeaf())
+                addLeaf(g);
+            else
+                waiting.push_back(g.children);
         }
     }
     REQUIRE(pixels.size() == map.layerCount());

@@ -21,6 +21,7 @@ using test::Random;
 using test::TestLayer;
 using trace::kTexels;
 using trace::Patch;
+using trace::PatchList;
 using trace::PatchTree;
 
 namespace {
@@ -72,12 +73,11 @@ class Checker {
             CHECK(level.columns * level.side >= map_.info().width);
             CHECK(level.rows * level.side >= map_.info().height);
             leaves_.clear();
-            for (const PatchTree::Entry& tile : level.tiles)
-                eachPatch(tile.group, tile.groups,
-                          [&](PatchName patch) { findLeaves(patch); });
+            for (const PatchList& tile : level.tiles)
+                eachPatch(tile, [&](PatchName patch) { findLeaves(patch); });
             shareOut();
-            for (const PatchTree::Entry& tile : level.tiles)
-                eachPatch(tile.group, tile.groups, [&](PatchName patch) {
+            for (const PatchList& tile : level.tiles)
+                eachPatch(tile, [&](PatchName patch) {
                     const std::vector<Sample> samples = samplesOf(patch);
                     addShares(patch, pixelsOf(samples));
                 });
@@ -94,11 +94,10 @@ class Checker {
 
   private:
     template <typename Visit>
-    void eachPatch(std::uint32_t group, std::uint32_t groups, const Visit& visit) const {
-        for (std::uint32_t g = group; g < group + groups; ++g) {
-            for (int i = 0; i < 4; ++i) {
-                if (tree_.groups()[g].high(i) > -HUGE_VALF) visit(PatchName(g, i));
-            }
+    void eachPatch(const PatchList& list, const Visit& visit) const {
+        for (std::uint32_t n = 0; n < 4 * list.groups; ++n) {
+            if (list.slotsOf(n / 4) >> (n % 4) & 1)
+                visit(PatchName(list.group + n / 4, int(n % 4)));
         }
     }
     [[nodiscard]] Patch patchOf(PatchName patch) const {
@@ -117,9 +116,8 @@ class Checker {
 
     void findLeaves(PatchName patch) {
         const Patch g = patchOf(patch);
-        if (g.childGroups > 0) {
-            eachPatch(g.children, g.childGroups,
-                      [&](PatchName child) { findLeaves(child); });
+        if (!g.isLeaf()) {
+            eachPatch(g.children, [&](PatchName child) { findLeaves(child); });
             return;
         }
         expect(g.level == 0 && !g.shared, "leaves are of pixels");
@@ -191,8 +189,8 @@ class Checker {
     std::vector<Sample> samplesOf(PatchName patch) {
         const Patch g = patchOf(patch);
         std::vector<Sample> samples;
-        if (g.childGroups == 0) samples = sampleOf_[patch];
-        eachPatch(g.children, g.childGroups, [&](PatchName child) {
+        if (g.isLeaf()) samples = sampleOf_[patch];
+        eachPatch(g.children, [&](PatchName child) {
             const std::vector<Sample> more = samplesOf(child);
             samples.insert(samples.end(), more.begin(), more.end());
             const Patch c = patchOf(child);
@@ -364,7 +362,7 @@ TEST_CASE("the tree of a map without layers has no patches", "[trace]") {
     const PatchTree tree = PatchTree::build(map, 0, {});
     CHECK(tree.pieceSize() == 0.0f);
     for (const PatchTree::Level& level : tree.levels()) {
-        for (const PatchTree::Entry& tile : level.tiles)
+        for (const PatchList& tile : level.tiles)
             CHECK(tile.groups == 0);
     }
     Checker(map).run();
