@@ -98,7 +98,7 @@ struct Node {
     float residual = 0, low = 0, high = 0;
     Box box{};
     Moments moments;
-    PatchList children;
+    PatchList children{};
     std::uint32_t cover = 0;
     std::uint32_t masks = 0;  // how many PixelMasks it has
     std::uint8_t level = 0;

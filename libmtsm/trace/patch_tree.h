@@ -35,9 +35,9 @@ using UpperHalf = std::uint16_t;
 /// Patches that are looked at together: those of these groups, of the last group some. In
 /// the rest of that one are patches of other lists.
 struct PatchList {
-    std::uint32_t group = 0;
-    std::uint32_t groups : 28 = 0;
-    std::uint32_t slots : 4 = 0;  ///< of the last group: which, a bit each
+    std::uint32_t group;
+    std::uint32_t groups : 28;
+    std::uint32_t slots : 4;  ///< of the last group: which, a bit each
 
     /// Slots of group number i of the list.
     [[nodiscard]] std::uint32_t slotsOf(std::uint32_t i) const noexcept {
