@@ -77,6 +77,10 @@ struct Slope {
 
 /// Least squares; what few samples leave open is as `likely`.
 Plane fit(const Moments& m, Slope likely, double steepest) {
+    const auto limit = [steepest](double slope) {
+        return std::clamp(slope, -steepest, steepest);
+    };
+    if (m.n == 1) return {m.u, m.v, m.w, limit(likely.u), limit(likely.v)};
     const double u = m.u / m.n, v = m.v / m.n, w = m.w / m.n;
     const double xx = std::max(0.0, m.uu - m.n * u * u);
     const double yy = std::max(0.0, m.vv - m.n * v * v);
@@ -88,8 +92,7 @@ Plane fit(const Moments& m, Slope likely, double steepest) {
     const double determinant = (xx + slack) * (yy + slack) - xy * xy;
     const double slopeU = likely.u + (xw * (yy + slack) - yw * xy) / determinant;
     const double slopeV = likely.v + (yw * (xx + slack) - xw * xy) / determinant;
-    return {u, v, w, std::clamp(slopeU, -steepest, steepest),
-            std::clamp(slopeV, -steepest, steepest)};
+    return {u, v, w, limit(slopeU), limit(slopeV)};
 }
 
 /// A patch while the tree is made.
@@ -309,7 +312,7 @@ class TilePieces {
     void run(std::uint32_t x, std::uint32_t y, Nodes& made, Parts& parts) {
         corner_ = {x * kTexels, y * kTexels};
         gather();
-        if (samples_.empty()) return;
+        if (w_.empty()) return;
         for (std::uint32_t i = 0; i < kTexels; ++i)
             u_[i] = corner_.x + i + 0.5, v_[i] = corner_.y + i + 0.5;
         connect();
@@ -326,7 +329,7 @@ class TilePieces {
         }
     }
 
-    [[nodiscard]] std::size_t samples() const { return samples_.size(); }
+    [[nodiscard]] std::size_t samples() const { return w_.size(); }
 
   private:
     struct Square {
@@ -336,19 +339,21 @@ class TilePieces {
 
     /// Samples by pixel, and how far from each its neighbours may be.
     void gather() {
-        samples_.clear();
-        reach_.clear();
+        w_.clear();
         const std::uint32_t width = map_.info().width, height = map_.info().height;
         for (std::uint32_t row = 0; row < kTexels; ++row) {
             const std::uint32_t y = corner_.y + row;
             std::uint32_t column = 0;
             while (y < height && column < kTexels && corner_.x + column < width)
                 column += gatherRow(column, row);
-            const auto end = std::uint32_t(samples_.size());
+            const auto end = std::uint32_t(w_.size());
             std::fill(&begin_[row * kTexels + column], &begin_[row * kTexels] + kTexels,
                       end);
         }
-        begin_[256] = std::uint32_t(samples_.size());
+        begin_[256] = std::uint32_t(w_.size());
+        reach_.resize(w_.size());
+        for (std::size_t i = 0; i < w_.size(); ++i)
+            reach_[i] = kSteepest * footprint_.at(w_[i]);
     }
 
     /// From this pixel to the end of the row, or of the map's tile; how many pixels.
@@ -360,22 +365,19 @@ class TilePieces {
         const std::uint32_t pixels = std::min(kTexels - column, width - x % size);
         std::uint32_t* begin = &begin_[row * kTexels + column];
         if (tile.empty()) {
-            std::fill_n(begin, pixels, std::uint32_t(samples_.size()));
+            std::fill_n(begin, pixels, std::uint32_t(w_.size()));
             return pixels;
         }
         const std::uint32_t* from = &tile.begin[std::size_t(y % size) * width + x % size];
-        std::size_t at = samples_.size();
-        samples_.resize(at + from[pixels] - from[0]);
-        reach_.resize(samples_.size());
-        for (std::uint32_t i = 0; i < pixels; ++i) {
-            begin[i] = std::uint32_t(at);
-            for (std::uint32_t k = from[i]; k < from[i + 1]; ++k, ++at) {
-                const float z = tile.z[k];
-                const float w = perspective_ ? std::min(1.0f / z, 1e30f) : -z;
-                samples_[at] = {std::uint8_t(column + i), std::uint8_t(row), w};
-                reach_[at] = kSteepest * footprint_.at(w);
-            }
-        }
+        const auto first = std::uint32_t(w_.size());
+        for (std::uint32_t i = 0; i < pixels; ++i)
+            begin[i] = first + from[i] - from[0];
+        const std::uint32_t count = from[pixels] - from[0];
+        w_.resize(first + count);
+        const float* z = tile.z.data() + from[0];
+        float* w = w_.data() + first;
+        for (std::uint32_t i = 0; i < count; ++i)
+            w[i] = perspective_ ? std::min(1.0f / z[i], 1e30f) : -z[i];
         return pixels;
     }
 
@@ -391,10 +393,10 @@ class TilePieces {
         std::uint32_t j = begin_[q];
         const std::uint32_t end = begin_[q + 1];
         for (std::uint32_t i = begin_[p]; i < begin_[p + 1] && j < end; ++i) {
-            const float w = samples_[i].w;
-            float away = std::abs(samples_[j].w - w);
+            const float w = w_[i];
+            float away = std::abs(w_[j] - w);
             for (; j + 1 < end; ++j) {
-                const float next = std::abs(samples_[j + 1].w - w);
+                const float next = std::abs(w_[j + 1] - w);
                 if (next > away) break;
                 away = next;
             }
@@ -409,7 +411,7 @@ class TilePieces {
 
     /// Labels the samples; those whose labels have one root are connected.
     void connect() {
-        label_.assign(samples_.size(), kNone);
+        label_.assign(w_.size(), kNone);
         parent_.clear();
         for (std::uint32_t p = 0; p < 256; ++p) {
             if (begin_[p] == begin_[p + 1]) continue;
@@ -426,12 +428,14 @@ class TilePieces {
     /// Orders the samples by piece. A piece has one sample of a pixel: of those that are
     /// connected all the same, the second makes another piece, and so on.
     void separate() {
+        for (std::uint32_t label = 0; label < parent_.size(); ++label)
+            parent_[label] = root(label);
         last_.assign(parent_.size(), {});
         further_.clear();
         pieceBegin_.assign(1, 0);
         for (std::uint32_t p = 0; p < 256; ++p) {
             for (std::uint32_t i = begin_[p]; i < begin_[p + 1]; ++i) {
-                Connected& c = last_[root(label_[i])];
+                Connected& c = last_[parent_[label_[i]]];
                 std::uint32_t& piece = c.pixel == p ? further_[c.piece] : c.first;
                 if (piece == kNone) {
                     piece = std::uint32_t(further_.size());
@@ -447,10 +451,13 @@ class TilePieces {
         }
         for (std::size_t piece = 1; piece < pieceBegin_.size(); ++piece)
             pieceBegin_[piece] += pieceBegin_[piece - 1];
-        ordered_.resize(samples_.size());
+        ordered_.resize(w_.size());
         next_.assign(pieceBegin_.begin(), pieceBegin_.end() - 1);
-        for (std::uint32_t i = 0; i < samples_.size(); ++i)
-            ordered_[next_[label_[i]]++] = samples_[i];
+        for (std::uint32_t p = 0; p < 256; ++p) {
+            for (std::uint32_t i = begin_[p]; i < begin_[p + 1]; ++i)
+                ordered_[next_[label_[i]]++] = {std::uint8_t(p % kTexels),
+                                                std::uint8_t(p / kTexels), w_[i]};
+        }
     }
 
     /// A patch of these samples; if it is not flat, its quarters, or its bumps.
@@ -614,10 +621,10 @@ class TilePieces {
     bool perspective_ = true;
     Corner corner_;
     std::array<double, kTexels> u_{}, v_{};  // centres of pixels
-    std::vector<Sample> samples_, ordered_;
-    std::vector<float> reach_;
-    std::array<std::uint32_t, 257> begin_{};
-    std::vector<std::uint32_t> label_;  // then the piece
+    std::vector<float> w_, reach_;  // of samples, by pixel: how far neighbours may be
+    std::array<std::uint32_t, 257> begin_{};  // of each pixel's
+    std::vector<std::uint32_t> label_;        // then the piece
+    std::vector<Sample> ordered_;             // by piece
     std::vector<std::uint32_t> parent_, pieceBegin_, next_;
     std::vector<std::uint32_t> further_;  // of a piece: the next one of its samples
     std::vector<Connected> last_;
@@ -690,18 +697,23 @@ class Coarsening {
 
     /// One for each node. Large ones first: they say where the surfaces are.
     void startClusters() {
-        order_.resize(nodes_.size());
-        for (std::uint32_t i = 0; i < order_.size(); ++i)
-            order_[i] = {nodes_[i]->moments.n, i};
-        std::sort(order_.begin(), order_.end(), [](const auto& a, const auto& b) {
-            return a.first != b.first ? a.first > b.first : a.second < b.second;
+        order_.clear();
+        const auto sizeOf = [&](std::uint32_t i) { return nodes_[i]->moments.n; };
+        for (std::uint32_t i = 0; i < nodes_.size(); ++i) {
+            if (sizeOf(i) > 1) order_.push_back(i);
+        }
+        std::sort(order_.begin(), order_.end(), [&](std::uint32_t a, std::uint32_t b) {
+            return sizeOf(a) != sizeOf(b) ? sizeOf(a) > sizeOf(b) : a < b;
         });
+        for (std::uint32_t i = 0; i < nodes_.size(); ++i) {
+            if (sizeOf(i) == 1) order_.push_back(i);
+        }
         next_.assign(nodes_.size(), kNone);
         clusters_.clear();
         for (std::vector<float>* v : {&planeW_, &planeU_, &planeV_, &slack_})
             v->resize(nodes_.size());
         near_.resize(nodes_.size() + 8);
-        for (const auto& [n, i] : order_)
+        for (const std::uint32_t i : order_)
             clusters_.push_back({nodes_[i]->plane, nodes_[i]->moments, i, i, 1});
     }
 
@@ -1004,7 +1016,7 @@ class Coarsening {
     // Of the tiles below, and of what is made of them.
     std::vector<const Node*> nodes_;
     std::vector<const PixelMask*> masks_;  // of each node
-    std::vector<std::pair<double, std::uint32_t>> order_;
+    std::vector<std::uint32_t> order_;
     std::vector<std::uint32_t> next_;  // member of the same cluster
     std::vector<Cluster> clusters_;
     std::vector<float> planeW_, planeU_, planeV_, slack_;  // of clusters: findNear
