@@ -1,10 +1,16 @@
 // The patch tree: its patches share out the samples of a map, and say where they are.
 #include "trace/patch_tree.h"
 
+#include <tbb/global_control.h>
+#include <tbb/task_arena.h>
+
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <catch2/catch.hpp>
 #include <cmath>
+#include <cstring>
+#include <functional>
 #include <map>
 #include <set>
 #include <string>
@@ -391,4 +397,106 @@ TEST_CASE("the shares of coarse texels are right in the mean", "[trace][statisti
         CHECK(std::abs(checker.coveredTexels - checker.covered) <
               4.0 * std::sqrt(checker.variance));
     }
+}
+
+namespace {
+
+ShadowMap wavyMap(std::uint64_t seed) {
+    Random random(seed);
+    return randomMap(random, 150, 110, 4, true, 0.05);
+}
+
+}  // namespace
+
+TEST_CASE("a tree is the same for any number of threads", "[trace][threads]") {
+    const ShadowMap map = wavyMap(3);
+    const tbb::global_control more(tbb::global_control::max_allowed_parallelism, 8);
+    const auto build = [&](int threads) {
+        tbb::task_arena arena(threads);
+        return arena.execute([&] { return PatchTree::build(map, 0, {}); });
+    };
+    const PatchTree one = build(1), many = build(8);
+    REQUIRE(one.memoryBytes() == many.memoryBytes());
+    REQUIRE(one.levels().size() == many.levels().size());
+    std::uint32_t groups = 0;
+    for (std::size_t level = 0; level < one.levels().size(); ++level) {
+        const std::vector<PatchList>& a = one.levels()[level].tiles;
+        const std::vector<PatchList>& b = many.levels()[level].tiles;
+        REQUIRE(a.size() == b.size());
+        for (std::size_t i = 0; i < a.size(); ++i) {
+            CHECK(std::tuple(a[i].group, std::uint32_t(a[i].groups),
+                             std::uint32_t(a[i].slots)) ==
+                  std::tuple(b[i].group, std::uint32_t(b[i].groups),
+                             std::uint32_t(b[i].slots)));
+            groups = std::max(groups, a[i].group + a[i].groups);  // the last come last
+        }
+    }
+    REQUIRE(groups > 100);
+    CHECK(std::memcmp(one.groups(), many.groups(), groups * sizeof(trace::PatchGroup)) ==
+          0);
+    for (std::uint32_t n = 0; n < groups; ++n) {
+        for (int i = 0; i < 4; ++i) {
+            const Patch patch = one.groups()[n].patch(i);
+            if (!(patch.high > -HUGE_VALF)) continue;
+            const int rows =
+                patch.bumpy ? kTexels : (patch.shared ? 4 : 1) * patch.rows();
+            const std::uint16_t* a = one.covers() + patch.cover;
+            CHECK(std::equal(a, a + rows, many.covers() + patch.cover));
+        }
+    }
+}
+
+TEST_CASE("every place in the groups of a tree is in one list, or empty", "[trace]") {
+    const ShadowMap map = wavyMap(4);
+    const PatchTree tree = PatchTree::build(map, 0, {});
+    std::map<std::pair<std::uint32_t, std::uint32_t>, int> lists;  // by group and slot
+    std::uint32_t groups = 0;
+    const std::function<void(const PatchList&, bool)> add = [&](const PatchList& list,
+                                                                bool follow) {
+        groups = std::max(groups, list.group + list.groups);
+        for (std::uint32_t n = 0; n < 4 * list.groups; ++n) {
+            if (!(list.slotsOf(n / 4) >> (n % 4) & 1)) continue;
+            ++lists[{list.group + n / 4, n % 4}];
+            if (follow)
+                add(tree.groups()[list.group + n / 4].patch(int(n % 4)).children, true);
+        }
+    };
+    for (const PatchTree::Level& level : tree.levels()) {
+        for (const PatchList& tile : level.tiles)
+            add(tile, &level == &tree.levels().back());
+    }
+    std::size_t empty = 0;
+    for (std::uint32_t n = 0; n < groups; ++n) {
+        for (std::uint32_t i = 0; i < 4; ++i) {
+            const bool exists = tree.groups()[n].high(int(i)) > -HUGE_VALF;
+            const auto found = lists.find({n, i});
+            CHECK((found == lists.end() ? 0 : found->second) == (exists ? 1 : 0));
+            empty += !exists;
+        }
+    }
+    INFO(empty << " empty of " << 4 * groups);
+    CHECK(empty < groups / 4);
+}
+
+TEST_CASE("patches that fill their boxes share their rows of coverage", "[trace]") {
+    // A wall: a sheet at every level, all of it covered.
+    const ShadowMap map = mapOf(test::plainInfo(128, 128, 64),
+                                test::plainProjection(128, 128), [](auto, auto) {
+                                    return std::vector<TestLayer>{{4.0f, 0.0f, 1}};
+                                });
+    const PatchTree tree = PatchTree::build(map, 0, {});
+    std::set<std::uint32_t> covers;
+    for (const PatchTree::Level& level : tree.levels()) {
+        for (const PatchList& tile : level.tiles) {
+            const Patch patch = tree.groups()[tile.group].patch(
+                std::countr_zero(std::uint32_t(tile.slots)));
+            CHECK(patch.sheet);
+            CHECK(!patch.shared);
+            CHECK(patch.rows() == kTexels);
+            for (int row = 0; row < kTexels; ++row)
+                CHECK(tree.covers()[patch.cover + std::uint32_t(row)] == 0xffff);
+            covers.insert(patch.cover);
+        }
+    }
+    CHECK(covers.size() == 1);
 }
