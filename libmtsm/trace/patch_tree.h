@@ -64,19 +64,18 @@ struct Patch {
     bool bumpy;  ///< a leaf; its coverage is a BumpPlane
 
     [[nodiscard]] bool isLeaf() const noexcept { return children.groups == 0; }
-    [[nodiscard]] float texelSide() const noexcept { return float(1u << level); }
-    /// Upper left corner of its tile, pixels.
-    [[nodiscard]] float cornerU() const noexcept { return cornerOf(u); }
-    [[nodiscard]] float cornerV() const noexcept { return cornerOf(v); }
     /// Rows and columns of the tile's texels that the box takes up.
-    [[nodiscard]] int firstRow() const noexcept { return texels(v - halfV - cornerV()); }
+    [[nodiscard]] int firstRow() const noexcept {
+        return texels(v - halfV - cornerOf(v));
+    }
     [[nodiscard]] int rows() const noexcept { return texels(2.0f * halfV); }
     [[nodiscard]] int firstColumn() const noexcept {
-        return texels(u - halfU - cornerU());
+        return texels(u - halfU - cornerOf(u));
     }
     [[nodiscard]] int columns() const noexcept { return texels(2.0f * halfU); }
 
   private:
+    /// Upper or left edge of its tile.
     [[nodiscard]] float cornerOf(float centre) const noexcept {
         return float(std::uint32_t(centre) >> (level + 4) << (level + 4));
     }
