@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <cstring>
 
 namespace mtsm::trace::patch_detail {
 namespace {
@@ -15,6 +14,9 @@ constexpr std::array kTolerances = {1.0f, 4.0f};
 
 /// Members of a coarser patch: its groups are counted in a byte.
 constexpr std::size_t kMostMembers = 4 * 255;
+/// What places on planes in floats may be off by, for their terms: a few roundings.
+constexpr float kRounding = 0x1p-20f;
+
 /// Of a texel of 16 x 16, what a share must exceed to count as the next sixteenth: the
 /// bits of x ^ y and y, reversed and interleaved, so that neighbours differ most.
 constexpr std::array<double, 256> kDither = [] {
@@ -71,9 +73,8 @@ void Coarsening::startClusters() {
     }
     next_.assign(nodes_.size(), kNone);
     clusters_.clear();
-    for (std::vector<float>* v : {&planeW_, &planeU_, &planeV_, &slack_})
-        v->resize(nodes_.size());
-    near_.resize(nodes_.size() + 8);
+    planes_.resize(nodes_.size());
+    candidates_.resize(nodes_.size() + PlaneList::kSpare);
     for (const std::uint32_t i : order_)
         clusters_.push_back({nodes_[i]->plane, nodes_[i]->moments, i, i, 1});
 }
@@ -96,15 +97,18 @@ void Coarsening::gatherClusters(float tolerance) {
 std::size_t Coarsening::findBest(const Cluster& c, std::size_t made, float least) {
     const double u = c.moments.u / c.moments.n, v = c.moments.v / c.moments.n;
     const double w = c.moments.w / c.moments.n;
-    findNear(float(u - corner_.x), float(v - corner_.y), float(w), least, made);
+    const std::size_t near =
+        findNear(planes_, made, float(u - corner_.x), float(v - corner_.y), float(w),
+                 least + kRounding * std::abs(float(w)), candidates_.data());
     std::size_t best = made;
-    for (const std::uint32_t k : candidates_) {
+    for (std::size_t i = 0; i < near; ++i) {
+        const std::uint32_t k = candidates_[i];
         const Cluster& other = clusters_[k];
         if (std::abs(other.plane.at(u, v) - w) > least) continue;
         if (other.members + c.members > kMostMembers) continue;
         float distance = 0;
-        for (std::uint32_t i = c.first; i != kNone && distance <= least; i = next_[i])
-            distance = std::max(distance, mismatch(other.plane, *nodes_[i]));
+        for (std::uint32_t m = c.first; m != kNone && distance <= least; m = next_[m])
+            distance = std::max(distance, mismatch(other.plane, *nodes_[m]));
         if (distance <= least) {
             least = distance;
             best = k;
@@ -113,36 +117,13 @@ std::size_t Coarsening::findBest(const Cluster& c, std::size_t made, float least
     return best;
 }
 
-void Coarsening::findNear(float u, float v, float w, float least, std::size_t made) {
-    const float *at = planeW_.data(), *perU = planeU_.data(), *perV = planeV_.data();
-    const float* slack = slack_.data();
-    std::uint8_t* near = near_.data();
-    const float most = least + 0x1p-20f * std::abs(w);
-    for (std::size_t k = 0; k < made; ++k) {
-        const float away = std::abs(at[k] + perU[k] * u + perV[k] * v - w);
-        near[k] = !(away - slack[k] > most);
-    }
-    std::fill_n(near + made, 8, std::uint8_t(0));
-    candidates_.resize(made + 8);
-    std::size_t count = 0;
-    for (std::size_t k = 0; k < made; k += 8) {
-        std::uint64_t eight;
-        std::memcpy(&eight, near + k, sizeof eight);
-        if (eight == 0) continue;
-        for (std::size_t i = k; i < k + 8; ++i) {
-            candidates_[count] = std::uint32_t(i);
-            count += near[i];
-        }
-    }
-    candidates_.resize(count);
-}
-
 void Coarsening::setPlane(std::size_t k) {
     const Plane& p = clusters_[k].plane;
-    planeW_[k] = float(p.at(corner_.x, corner_.y));
-    planeU_[k] = float(p.gradientU), planeV_[k] = float(p.gradientV);
-    slack_[k] = 0x1p-20f * (std::abs(planeW_[k]) +
-                            float(side_) * (std::abs(planeU_[k]) + std::abs(planeV_[k])));
+    const auto w = float(p.at(corner_.x, corner_.y));
+    const auto perU = float(p.gradientU), perV = float(p.gradientV);
+    planes_.w[k] = w, planes_.perU[k] = perU, planes_.perV[k] = perV;
+    planes_.slack[k] =
+        kRounding * (std::abs(w) + float(side_) * (std::abs(perU) + std::abs(perV)));
 }
 
 void Coarsening::join(Cluster& to, const Cluster& c) {

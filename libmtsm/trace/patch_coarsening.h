@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "trace/patch_nodes.h"
+#include "trace/patch_planes.h"
 
 namespace mtsm::trace::patch_detail {
 
@@ -46,10 +47,7 @@ class Coarsening {
     void gatherClusters(float tolerance);
     /// Of the first `made`; `made` if it fits none within `least`.
     [[nodiscard]] std::size_t findBest(const Cluster& c, std::size_t made, float least);
-    /// Candidates: of the first `made` those whose planes may be so near to a place. A
-    /// quick look, that takes too many rather than too few.
-    void findNear(float u, float v, float w, float least, std::size_t made);
-    /// Its plane as findNear has it.
+    /// Cluster k's plane, in planes_.
     void setPlane(std::size_t k);
     void join(Cluster& to, const Cluster& c);
     void finish(const Cluster& c, Nodes& made, Parts& parts);
@@ -85,8 +83,7 @@ class Coarsening {
     std::vector<std::uint32_t> order_;
     std::vector<std::uint32_t> next_;  // member of the same cluster
     std::vector<Cluster> clusters_;
-    std::vector<float> planeW_, planeU_, planeV_, slack_;  // of clusters: findNear
-    std::vector<std::uint8_t> near_;                       // the same
+    PlaneList planes_;  // of clusters
     std::vector<std::uint32_t> candidates_;
     std::vector<std::uint32_t> members_;  // of the cluster at hand
     std::vector<std::uint32_t> maskAt_;   // by tile of level 0
