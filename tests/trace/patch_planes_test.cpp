@@ -6,7 +6,7 @@
 #include <limits>
 #include <vector>
 
-#include "trace/bundle_fixture.h"
+#include "random.h"
 #include "trace/each_target.h"
 
 using namespace mtsm;
