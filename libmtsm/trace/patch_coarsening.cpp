@@ -32,6 +32,9 @@ constexpr std::array<double, 256> kDither = [] {
     }
     return thresholds;
 }();
+/// What covers more of the half of a texel that is right of a steep line through its
+/// middle takes thresholds from above; the line is so steep that seldom a half is met.
+constexpr std::uint32_t kRight = 6, kLower = 4;
 
 }  // namespace
 
@@ -238,24 +241,30 @@ void Coarsening::addCover(Node& node, std::span<const PixelMask> masks, Parts& p
     const std::uint32_t v0 = (std::uint32_t(node.box.v0) - corner_.y) / texel;
     const std::uint32_t u1 = (std::uint32_t(node.box.u1) - corner_.x + texel - 1) / texel;
     const std::uint32_t v1 = (std::uint32_t(node.box.v1) - corner_.y + texel - 1) / texel;
-    std::array<std::uint32_t, 256> counts{};
+    std::array<std::uint32_t, 256> counts{}, leans{};
     for (const PixelMask& mask : masks)
         count(mask, counts);
-    std::uint16_t planes[4][kTexels];
+    const auto isPart = [full](std::uint32_t n) { return n > 0 && n < full; };
+    node.shared = std::any_of(counts.begin(), counts.end(), isPart);
+    for (const PixelMask& mask : masks) {
+        if (node.shared) lean(mask, leans);
+    }
+    std::uint16_t planes[kSharePlanes][kTexels];
     bool fills = true;
     for (std::uint32_t y = v0; y < v1; ++y) {
-        std::uint32_t shares[4] = {}, covered = 0;
+        std::uint32_t shares[kSharePlanes] = {}, covered = 0;
         for (std::uint32_t x = u0; x < u1; ++x) {
             const std::uint32_t i = y * kTexels + x;
             if (counts[i] != full) fills = false;
             if (counts[i] == 0) continue;
-            if (counts[i] < full) node.shared = true;
             covered |= 1u << x;
-            const std::uint32_t share = sixteenths(counts[i], full, i);
-            for (int k = 0; k < 4; ++k)
+            const bool above = 2 * leans[i] > (kRight + kLower) * counts[i];
+            const std::uint32_t share =
+                sixteenths(counts[i], full, i, above) | std::uint32_t(above) << 4;
+            for (int k = 0; k < kSharePlanes; ++k)
                 shares[k] |= (share >> k & 1) << x;
         }
-        for (int k = 0; k < 4; ++k)
+        for (int k = 0; k < kSharePlanes; ++k)
             planes[k][y] = std::uint16_t(shares[k]);
         if (covered == 0) continue;
         // Of a plane's depths in a row the first and the last are the extremes.
@@ -267,7 +276,7 @@ void Coarsening::addCover(Node& node, std::span<const PixelMask> masks, Parts& p
         return;
     }
     node.cover = kFullRows + std::uint32_t(parts.covers.size());
-    for (int k = 0; k < (node.shared ? 4 : 1); ++k)
+    for (int k = 0; k < (node.shared ? kSharePlanes : 1); ++k)
         parts.covers.insert(parts.covers.end(), planes[k] + v0, planes[k] + v1);
 }
 
@@ -300,15 +309,44 @@ void Coarsening::count(const PixelMask& mask,
         return;
     }
     for (std::uint32_t row = 0; row < kTexels; row += texel, to += kTexels)
-        countRow(mask.row + row, texel, to);
+        countRow(mask.row + row, texel, texel, 1, to);
 }
 
-void Coarsening::countRow(const std::uint16_t* rows, std::uint32_t texel,
-                          std::uint32_t* to) {
+void Coarsening::lean(const PixelMask& mask,
+                      std::array<std::uint32_t, 256>& leans) const {
+    const std::uint32_t texel = side_ / kTexels, half = texel / 2;
+    const std::uint32_t x = mask.x * kTexels - corner_.x;
+    const std::uint32_t y = mask.y * kTexels - corner_.y;
+    std::uint32_t* to = &leans[y / texel * kTexels + x / texel];
+    if (texel > kTexels) {
+        *to += mask.covered *
+               ((x % texel >= half ? kRight : 0) + (y % texel >= half ? kLower : 0));
+        return;
+    }
+    const std::uint32_t right = texel == 2   ? 0xaaaa
+                                : texel == 4 ? 0xcccc
+                                : texel == 8 ? 0xf0f0
+                                             : 0xff00;
+    std::array<std::uint16_t, kTexels> rights;
+    for (int row = 0; row < kTexels; ++row)
+        rights[row] = std::uint16_t(mask.row[row] & right);
+    for (std::uint32_t row = 0; row < kTexels; row += texel, to += kTexels) {
+        countRow(&rights[row], texel, texel, kRight, to);
+        countRow(mask.row + row + half, half, texel, kLower, to);
+    }
+}
+
+void Coarsening::countRow(const std::uint16_t* rows, std::uint32_t count,
+                          std::uint32_t texel, std::uint32_t weight, std::uint32_t* to) {
+    if (texel == kTexels) {
+        for (std::uint32_t row = 0; row < count; ++row)
+            *to += weight * ones(rows[row]);
+        return;
+    }
     // Sums of neighbouring texels are kept apart: one of a pair in each half.
     std::uint32_t even = 0, odd = 0;
     const std::uint32_t mask = texel == 2 ? 0x3333 : texel == 4 ? 0x0f0f : 0x00ff;
-    for (std::uint32_t row = 0; row < texel; ++row) {
+    for (std::uint32_t row = 0; row < count; ++row) {
         std::uint32_t bits = rows[row];
         bits -= bits >> 1 & 0x5555;
         if (texel > 2) bits = (bits & 0x3333) + (bits >> 2 & 0x3333);
@@ -318,15 +356,17 @@ void Coarsening::countRow(const std::uint16_t* rows, std::uint32_t texel,
     }
     for (std::uint32_t i = 0; i < kTexels / texel; i += 2) {
         const std::uint32_t field = (1u << 2 * texel) - 1;
-        to[i] += even >> (i * texel) & field;
-        to[i + 1] += odd >> (i * texel) & field;
+        to[i] += weight * (even >> (i * texel) & field);
+        to[i + 1] += weight * (odd >> (i * texel) & field);
     }
 }
 
 std::uint32_t Coarsening::sixteenths(std::uint32_t covered, std::uint32_t full,
-                                     std::uint32_t place) {
+                                     std::uint32_t place, bool above) {
     if (covered == full) return 15;
-    const double share = 16.0 * covered / full, threshold = kDither[place];
+    // What two halves are rounded by makes up for each other.
+    const double threshold = above ? 1.0 - kDither[place] : kDither[place];
+    const double share = 16.0 * covered / full;
     if (share < 14.0) return std::uint32_t(share + threshold);
     return share - 14.0 > 2.0 * threshold ? 15 : 14;
 }

@@ -66,12 +66,16 @@ class Coarsening {
     static std::uint32_t ones(std::uint32_t bits);
     /// Adds the covered pixels of each texel.
     void count(const PixelMask& mask, std::array<std::uint32_t, 256>& counts) const;
-    /// Of a row of texels.
-    static void countRow(const std::uint16_t* rows, std::uint32_t texel,
-                         std::uint32_t* to);
-    /// The share in sixteenths by ordered dither; 15 stands for all of it.
+    /// Of some pixels' rows in a row of texels: adds `weight` for each.
+    static void countRow(const std::uint16_t* rows, std::uint32_t count,
+                         std::uint32_t texel, std::uint32_t weight, std::uint32_t* to);
+    /// Adds for each pixel in the right half of its texel kRight, in the lower one
+    /// kLower.
+    void lean(const PixelMask& mask, std::array<std::uint32_t, 256>& leans) const;
+    /// The share in sixteenths by ordered dither; 15 stands for all of it. `above`: of
+    /// thresholds from above.
     static std::uint32_t sixteenths(std::uint32_t covered, std::uint32_t full,
-                                    std::uint32_t place);
+                                    std::uint32_t place, bool above);
 
     std::uint8_t level_;
     Footprint footprint_;

@@ -393,7 +393,7 @@ class Traversal {
         const std::uint16_t* cover;
         float cornerU, cornerV, perTexel;
         int column, columns, row, rows;  // texels of its box, in the tile
-        std::uint32_t number;
+        std::uint32_t tile;  ///< if its texels are shared: a number of the tile
         /// [receiver]: as Batch has them.
         alignas(64) float u[kMostReceivers], v[kMostReceivers], rise[kMostReceivers];
     };
@@ -454,10 +454,14 @@ class Traversal {
                   p.columns(),
                   p.firstRow(),
                   p.rows(),
-                  (p.cover * 0x9e3779b1u) >> 28,
+                  0u,
                   {},
                   {},
                   {}};
+        if (p.shared) {
+            const auto x = std::uint32_t(seen.cornerU), y = std::uint32_t(seen.cornerV);
+            seen.tile = (x * 0x85ebca6bu) ^ (y * 0xc2b2ae35u);
+        }
         const auto set = [](float x) { return hn::Set(kF, x); };
         for (int k = 0; k < kMostReceivers; k += kN) {
             const Vec u = hn::Load(kF, bundle_.u + k), v = hn::Load(kF, bundle_.v + k);
@@ -544,7 +548,7 @@ class Traversal {
         const VecI bit = hn::Shl(hn::Set(kI, 1), x);
         if (!p.patch.shared)
             return hits & bitsOf(hn::Ne(hn::And(rowsAt(p.cover, y), bit), hn::Zero(kI)));
-        return hits & sharesAbove(p, r, y, bit);
+        return hits & sharesAbove(p, r, x, y, bit);
     }
 
     /// Rays that meet the pixels of a bumpy patch, each of which lies on a plane of its
@@ -586,18 +590,28 @@ class Traversal {
         }
     }
 
-    /// Rays whose threshold lies below the share of the texel that they cross.
-    static std::uint32_t sharesAbove(const Seen& p, const Batch& r, VecI y, VecI bit) {
+    /// Rays whose threshold lies within the share of the texel that they cross. A ray has
+    /// one threshold for all patches that share a texel, others for other texels.
+    static std::uint32_t sharesAbove(const Seen& p, const Batch& r, VecI x, VecI y,
+                                     VecI bit) {
+        const auto covered = [&](int plane) {
+            return hn::Ne(hn::And(rowsAt(p.cover + plane * p.rows, y), bit),
+                          hn::Zero(kI));
+        };
         VecI share = hn::Zero(kI);
-        for (int plane = 0; plane < 4; ++plane) {
-            const auto covered =
-                hn::Ne(hn::And(rowsAt(p.cover + plane * p.rows, y), bit), hn::Zero(kI));
-            share = hn::Add(share, hn::IfThenElseZero(covered, hn::Set(kI, 1 << plane)));
-        }
+        for (int plane = 0; plane < 4; ++plane)
+            share = hn::Add(share,
+                            hn::IfThenElseZero(covered(plane), hn::Set(kI, 1 << plane)));
+        const VecI row = hn::Add(y, hn::Set(kI, p.row));
+        const VecI texel = hn::Add(hn::ShiftLeft<4>(row), x);
+        const VecI mixed = hn::Mul(hn::Add(texel, hn::Set(kI, std::int32_t(p.tile))),
+                                   hn::Set(kI, std::int32_t(0x9e3779b1u)));
         const hn::Rebind<std::uint8_t, Ints> bytes;
-        const VecI threshold = hn::Xor(hn::PromoteTo(kI, hn::LoadU(bytes, r.threshold)),
-                                       hn::Set(kI, std::int32_t(p.number)));
-        const auto full = hn::Eq(share, hn::Set(kI, 15));
+        const VecI fifteen = hn::Set(kI, 15);
+        VecI threshold = hn::Xor(hn::PromoteTo(kI, hn::LoadU(bytes, r.threshold)),
+                                 hn::And(hn::ShiftRight<28>(mixed), fifteen));
+        threshold = hn::Xor(threshold, hn::IfThenElseZero(covered(4), fifteen));
+        const auto full = hn::Eq(share, fifteen);
         return bitsOf(hn::Or(full, hn::Lt(threshold, share)));
     }
 

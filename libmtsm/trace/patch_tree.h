@@ -13,7 +13,11 @@
 // Coverage. Texels of level 0 are pixels, covered or not. A texel of a coarser level
 // holds the share of its pixels that the patch covers, counted exactly and then in
 // sixteenths by ordered dither, so that no mean is off: a ray is blocked by the share,
-// against a threshold of its own. Kept are the rows of texels that the patch's box has.
+// against a threshold of its own. Of several patches that share a texel it matters which
+// pixels they cover: the front and the back of a body the same, two halves of a surface
+// none twice. So a ray has one threshold for all of them, and what covers more of one
+// half of a texel takes thresholds from below, what covers more of the other one from
+// above. Kept are the rows of texels that the patch's box has.
 #pragma once
 #include <bit>
 #include <cstdint>
@@ -25,6 +29,7 @@
 namespace mtsm::trace {
 
 inline constexpr int kTexels = 16;  ///< per side of a patch
+inline constexpr int kSharePlanes = 5;
 
 /// The upper half of a float's bits.
 using UpperHalf = std::uint16_t;
@@ -56,9 +61,10 @@ struct Patch {
     PatchList children;   ///< none: a leaf
     std::uint32_t cover;  ///< first row of its coverage
     std::uint8_t level;
-    /// Four planes of coverage, the bits of a number from 0 to 15: sixteenths, 15 is all.
-    /// Else one plane: all or nothing. A plane has a row for each row of texels of the
-    /// box: bit x is column x of the tile, and outside the box none is set.
+    /// kSharePlanes planes of coverage: four bits of a number from 0 to 15, sixteenths,
+    /// 15 is all; and does it take thresholds from above? Else one plane: all or nothing.
+    /// A plane has a row for each row of texels of the box: bit x is column x of the
+    /// tile, and outside the box none is set.
     bool shared;
     bool sheet;  ///< one connected surface that fills the box
     bool bumpy;  ///< a leaf; its coverage is a BumpPlane

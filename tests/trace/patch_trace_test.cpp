@@ -6,6 +6,7 @@
 #include <bit>
 #include <catch2/catch.hpp>
 #include <cmath>
+#include <functional>
 #include <glm/common.hpp>
 #include <numeric>
 #include <vector>
@@ -232,7 +233,68 @@ Rays anyRays(Random& random, int receivers, int groups) {
     return rays;
 }
 
+/// Of texels of level 2 (4 x 4 pixels) that lie in both of two walls, one well behind the
+/// other: those for which not as many of 16 rays are blocked, one of each threshold, as
+/// there are pixels in either. A fifteenth pixel is not told from a sixteenth.
+int texelsOff(const std::function<bool(int, int)>& front,
+              const std::function<bool(int, int)>& back) {
+    const auto at = [&](const std::function<bool(int, int)>& covers, std::uint32_t x,
+                        std::uint32_t y) { return covers(int(x), int(y)); };
+    const ShadowMap map = mapOf(test::plainInfo(kWidth, kHeight, 64),
+                                test::plainProjection(kWidth, kHeight),
+                                [&](std::uint32_t x, std::uint32_t y) {
+                                    std::vector<TestLayer> layers;
+                                    if (at(front, x, y))
+                                        layers.push_back({float(1.0 / 0.5), 0.0f, 1});
+                                    if (at(back, x, y))
+                                        layers.push_back({float(1.0 / 0.2), 0.0f, 1});
+                                    return layers;
+                                });
+    const PatchTree tree = treeOf(map);
+    int off = 0;
+    for (int y = 0; y + 4 <= int(kHeight); y += 4) {
+        for (int x = 0; x + 4 <= int(kWidth); x += 4) {
+            int some[2] = {}, either = 0;
+            for (int i = 0; i < 16; ++i) {
+                const int u = x + i % 4, v = y + i / 4;
+                some[0] += front(u, v), some[1] += back(u, v);
+                either += front(u, v) || back(u, v);
+            }
+            if (some[0] == 15 || some[1] == 15) continue;
+            Rays rays(1, 1);
+            rays.setStart(0, {x + 2.0, y + 2.0, 0.05});
+            setCoarseness(rays, 1000.0, 2);
+            for (int lane = 0; lane < kLanes; ++lane) {
+                rays.setDelta(0, lane, {0.0, 0.0, 0.6});
+                rays.bundle.begin[0][lane] = 0x1p-40f;
+                rays.bundle.threshold[0][lane] = std::uint8_t(lane);
+            }
+            rays.bound();
+            off += 16 - std::popcount(traced(tree, rays).bundle.open[0]) != either;
+        }
+    }
+    return off;
+}
+
 }  // namespace
+
+TEST_CASE("surfaces that share a texel block what their pixels do together",
+          "[trace][exact]") {
+    const auto disk = [](int x, int y) {
+        return std::hypot(x + 0.5 - 71.3, y + 0.5 - 63.8) < 50.2;
+    };
+    const auto beside = [&](int x, int y) { return !disk(x, y); };
+    const auto none = [](int, int) { return false; };
+    const auto left = [](int x, int y) { return x < 40.0 + 0.3 * y; };
+    const auto further = [](int x, int y) { return x < 41.6 + 0.3 * y; };
+    onEachTarget([&](const char* name) {
+        INFO(name);
+        CHECK(texelsOff(disk, none) == 0);
+        CHECK(texelsOff(disk, disk) == 0);     // front and back of a body
+        CHECK(texelsOff(disk, beside) == 0);   // halves of a surface
+        CHECK(texelsOff(further, left) == 0);  // the back of it is a little smaller
+    });
+}
 
 TEST_CASE("rays are blocked by the pixels of a wall that they cross", "[trace][exact]") {
     Random random(1);

@@ -439,7 +439,8 @@ TEST_CASE("a tree is the same for any number of threads", "[trace][threads]") {
             const Patch patch = one.groups()[n].patch(i);
             if (!(patch.high > -HUGE_VALF)) continue;
             const int rows =
-                patch.bumpy ? kTexels : (patch.shared ? 4 : 1) * patch.rows();
+                patch.bumpy ? kTexels
+                            : (patch.shared ? trace::kSharePlanes : 1) * patch.rows();
             const std::uint16_t* a = one.covers() + patch.cover;
             CHECK(std::equal(a, a + rows, many.covers() + patch.cover));
         }
