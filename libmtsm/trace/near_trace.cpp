@@ -100,6 +100,15 @@ std::uint32_t overlapping(const NearBoxes& boxes, const Box& box) {
     return found;
 }
 
+/// Rays that go sideways between two slopes while they rise by `least` to `most`: may
+/// they come between two sides, which are so far away from where they start?
+HWY_INLINE Mask comesBetween(Vec side0, Vec side1, Vec slopeLow, Vec slopeHigh, Vec least,
+                             Vec most) {
+    const Vec low = hn::Min(hn::Mul(slopeLow, least), hn::Mul(slopeLow, most));
+    const Vec high = hn::Max(hn::Mul(slopeHigh, least), hn::Mul(slopeHigh, most));
+    return hn::And(hn::Le(low, side1), hn::Ge(high, side0));
+}
+
 /// Seen from a receiver: the planes through the edges of 16 triangles, and how far away
 /// their planes are.
 struct SeenTriangles {
@@ -187,6 +196,8 @@ class Walk {
     /// Boxes around the open rays' parts, [axis][receiver]; of receivers without any
     /// empty.
     alignas(64) float low_[3][kMostReceivers], high_[3][kMostReceivers];
+    /// [axis][receiver]: what places on its rays are rounded by, at most.
+    alignas(64) float margin_[3][kMostReceivers] = {};
     std::uint16_t lanesLeft_ = 0;  ///< receivers with a ray that is open
 };
 
@@ -231,6 +242,11 @@ void Walk::bound(int receiver) {
         const float highs[3] = {rays_.slopeHighU[receiver], rays_.slopeHighV[receiver],
                                 1.0f};
         box = boxAround(start, start, lows, highs, rays_.rise[receiver]);
+        for (int axis = 0; axis < 3; ++axis) {
+            const float way = std::max(std::abs(lows[axis]), std::abs(highs[axis])) *
+                              rays_.rise[receiver];
+            margin_[axis][receiver] = (std::abs(start[axis]) + way) * 2.0f * kMargin;
+        }
     }
     for (int axis = 0; axis < 3; ++axis) {
         low_[axis][receiver] = box.low[axis];
@@ -291,19 +307,32 @@ void Walk::findLanes(const NearBoxes& boxes, std::uint32_t children, int k,
                            planes ? load(rays_.planeV) : zero,
                            planes ? load(rays_.planeW) : zero};
     const Vec height = hn::Set(d, planes ? height_ : -kInfinity);
+    const Vec margin[3] = {load(margin_[0]), load(margin_[1]), load(margin_[2])};
+    const Vec slopeLow[2] = {load(rays_.slopeLowU), load(rays_.slopeLowV)};
+    const Vec slopeHigh[2] = {load(rays_.slopeHighU), load(rays_.slopeHighV)};
+    const Mask wide = maskOf(std::uint32_t(rays_.wide) >> k);
     for (; children; children &= children - 1) {
         const int i = std::countr_zero(children);
         Mask may = hn::Ge(zero, zero);
-        Vec above = zero;
+        Vec above = zero, sides[3][2];
         for (int axis = 0; axis < 3; ++axis) {
             const Vec boxLow = hn::Set(d, boxes.low[axis][i]);
             const Vec boxHigh = hn::Set(d, boxes.high[axis][i]);
+            sides[axis][0] = hn::Sub(hn::Sub(boxLow, start[axis]), margin[axis]);
+            sides[axis][1] = hn::Add(hn::Sub(boxHigh, start[axis]), margin[axis]);
             may = hn::And(
                 may, hn::And(hn::Le(low[axis], boxHigh), hn::Ge(high[axis], boxLow)));
             // Of the box's corners the highest.
             const Vec far = hn::IfThenElse(hn::Lt(normal[axis], zero), boxLow, boxHigh);
             above = hn::Add(above, hn::Mul(normal[axis], hn::Sub(far, start[axis])));
         }
+        const Vec least = hn::Max(zero, sides[2][0]);
+        Mask within = hn::Ge(zero, zero);
+        for (int axis = 0; axis < 2; ++axis)
+            within = hn::And(within,
+                             comesBetween(sides[axis][0], sides[axis][1], slopeLow[axis],
+                                          slopeHigh[axis], least, sides[2][1]));
+        may = hn::And(may, hn::Or(within, wide));
         lanes[i] |= bitsOf(hn::And(may, hn::Gt(above, height))) << k;
     }
 }
@@ -339,6 +368,24 @@ std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
                                       hn::Set(d, high_[axis][lane])));
             may = hn::And(may, hn::Ge(hn::Load(d, triangles.high[axis] + t),
                                       hn::Set(d, low_[axis][lane])));
+        }
+        if (!(rays_.wide >> lane & 1)) {
+            const auto side = [&](const float* p, int axis, float margin) {
+                return hn::Sub(hn::Load(d, p + t), hn::Set(d, start[axis] - margin));
+            };
+            const auto low = [&](int axis) {
+                return side(triangles.low[axis], axis, -margin_[axis][lane]);
+            };
+            const auto high = [&](int axis) {
+                return side(triangles.high[axis], axis, margin_[axis][lane]);
+            };
+            const Vec least = hn::Max(hn::Zero(d), low(2)), most = high(2);
+            may = hn::And(may,
+                          comesBetween(low(0), high(0), hn::Set(d, rays_.slopeLowU[lane]),
+                                       hn::Set(d, rays_.slopeHighU[lane]), least, most));
+            may = hn::And(may,
+                          comesBetween(low(1), high(1), hn::Set(d, rays_.slopeLowV[lane]),
+                                       hn::Set(d, rays_.slopeHighV[lane]), least, most));
         }
         if (rays_.hasPlanes) {
             const float least = std::max(height_, triangles.roundingAbove(rays_, lane));
