@@ -97,7 +97,7 @@ void describeNearField(const ShadowMap& map, Description& d) {
         const NearField& field = map.nearField(face);
         d.nearTriangles += field.triangles();
         d.nearChunks += field.chunks.size();
-        d.nearBytes += nearFieldBytes(field.chunks.size());
+        d.nearBytes += mtsm::memoryBytes(field);
         const NearHair& hair = map.nearHair(face);
         d.nearSegments += hair.segments();
         d.nearChunks += hair.chunks.size();

@@ -11,8 +11,8 @@
 
 namespace mtsm {
 
-std::uint64_t nearSheetBytes(std::uint64_t chunks) noexcept {
-    return nearFieldBytes(chunks) + chunks * sizeof(NearSheetChunk);
+std::uint64_t nearSheetBytes(std::uint64_t chunks, int points) noexcept {
+    return nearFieldBytes(chunks, points) + chunks * sizeof(NearSheetChunk);
 }
 
 std::uint64_t nearTextureBytes(std::uint32_t width, std::uint32_t height) noexcept {
@@ -21,7 +21,8 @@ std::uint64_t nearTextureBytes(std::uint32_t width, std::uint32_t height) noexce
 }
 
 std::uint64_t memoryBytes(const NearSheets& sheets) noexcept {
-    std::uint64_t bytes = nearSheetBytes(sheets.chunks.size());
+    std::uint64_t bytes =
+        memoryBytes(sheets.triangles) + sheets.chunks.size() * sizeof(NearSheetChunk);
     for (const NearTexture& texture : sheets.textures)
         bytes += nearTextureBytes(texture.width, texture.height);
     return bytes;

@@ -388,7 +388,7 @@ std::uint64_t ShadowMap::memoryBytes() const noexcept {
             bytes += sizeof(Tile) +
                      4 * (t.begin.size() + t.z.size() + t.v.size() + t.n.size());
         }
-        bytes += nearFieldBytes(face.nearField.chunks.size()) +
+        bytes += mtsm::memoryBytes(face.nearField) +
                  nearHairBytes(face.nearHair.chunks.size());
         if (!face.nearSheets.empty()) bytes += mtsm::memoryBytes(face.nearSheets);
     }

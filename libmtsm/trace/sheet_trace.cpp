@@ -393,7 +393,7 @@ std::uint32_t Walk::lanesAt(const Vec3& low, const Vec3& high) const {
 }
 
 void Walk::chunk(std::size_t index, std::uint32_t lanes) {
-    const Triangles triangles(sheets_.triangles.chunks[index]);
+    const Triangles triangles(sheets_.triangles.chunks, index);
     const std::uint32_t all = (1u << sheets_.chunks[index].triangles) - 1;
     for (; lanes; lanes &= lanes - 1) {
         const int lane = std::countr_zero(lanes);

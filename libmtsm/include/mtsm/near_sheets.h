@@ -56,8 +56,9 @@ struct NearSheets {
     [[nodiscard]] bool empty() const noexcept { return chunks.empty(); }
 };
 
-/// What so many chunks and a texture of this size take in memory.
-[[nodiscard]] std::uint64_t nearSheetBytes(std::uint64_t chunks) noexcept;
+/// What so many chunks, of triangles with so many points each, and a texture of this
+/// size take in memory.
+[[nodiscard]] std::uint64_t nearSheetBytes(std::uint64_t chunks, int points) noexcept;
 [[nodiscard]] std::uint64_t nearTextureBytes(std::uint32_t width,
                                              std::uint32_t height) noexcept;
 /// What all of it takes.
