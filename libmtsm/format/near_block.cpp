@@ -17,7 +17,7 @@ std::uint64_t contentBytes(std::uint64_t chunks, std::uint64_t points) {
     return kChunkBytes * chunks + kPointBytes * points;
 }
 
-using Point = std::array<std::uint16_t, 3>;  // u, v, w on the chunk's grid
+using Point = NearChunks::Point;
 
 Point pointOf(const NearChunk& chunk, std::size_t corner) {
     const auto& c = chunk.corner[corner % 3];
@@ -101,37 +101,36 @@ Bytes contentOf(const NearChunks& chunks, std::size_t first, std::size_t count,
 
 /// Undoes contentOf(). Errors: a corner names a point that is not there.
 Status decodeContent(const PartLayout<const std::uint8_t>& from, NearChunks& chunks) {
+    chunks.reserve(from.chunks, from.points);
     std::size_t at = 0;
     for (std::size_t i = 0; i < from.chunks; ++i) {
-        NearChunk chunk;
+        float low[3], step[3];
         for (std::size_t f = 0; f < kFloats; ++f) {
             std::uint32_t bits = 0;
             for (std::size_t j = 0; j < 4; ++j)
                 bits |= std::uint32_t(from.atFloat(j, f, i)) << (8 * j);
-            (f < 3 ? chunk.low[f] : chunk.step[f - 3]) = std::bit_cast<float>(bits);
+            (f < 3 ? low[f] : step[f - 3]) = std::bit_cast<float>(bits);
         }
         std::array<Point, kCorners> point;
+        std::array<std::uint8_t, kCorners> number;
         std::size_t count = 0;
         for (std::size_t corner = 0; corner < kCorners; ++corner) {
             const std::size_t ago = from.atCorners(i)[corner];
             if (ago > count || (ago == 0 && at == from.points))
                 return bad("chunk ", i, ": corner ", corner, " is a point ", ago,
                            " before, of ", count);
-            if (ago == 0) {
-                Point p = count > 0 ? point[count - 1] : Point{};
-                for (std::size_t axis = 0; axis < 3; ++axis) {
-                    const auto r = std::uint16_t(from.atPoint(0, axis, at) |
-                                                 from.atPoint(1, axis, at) << 8);
-                    p[axis] = std::uint16_t(p[axis] + unzigzag16(r));
-                }
-                point[count++] = p;
-                ++at;
+            number[corner] = std::uint8_t(count - ago);
+            if (ago > 0) continue;
+            Point p = count > 0 ? point[count - 1] : Point{};
+            for (std::size_t axis = 0; axis < 3; ++axis) {
+                const auto r = std::uint16_t(from.atPoint(0, axis, at) |
+                                             from.atPoint(1, axis, at) << 8);
+                p[axis] = std::uint16_t(p[axis] + unzigzag16(r));
             }
-            const Point& p = point[count - (ago == 0 ? 1 : ago)];
-            for (std::size_t axis = 0; axis < 3; ++axis)
-                chunk.corner[corner % 3][axis][corner / 3] = p[axis];
+            point[count++] = p;
+            ++at;
         }
-        chunks.push_back(chunk);
+        chunks.push_back(low, step, point.data(), count, number.data());
     }
     if (at != from.points) return bad(from.points - at, " points that no corner names");
     return {};

@@ -7,16 +7,28 @@
 namespace mtsm {
 namespace {
 
-constexpr std::size_t kTriangles = NearChunk::kTriangles;
-constexpr std::size_t kCorners = NearChunks::kCorners;
+constexpr int kTriangles = NearChunk::kTriangles, kCorners = NearChunks::kCorners;
 constexpr int kBits = NearChunks::kBits;
 
-using Key = std::uint64_t;  // u, v and w of a point
+using Point = NearChunks::Point;
 
-Key keyOf(const NearChunk& chunk, std::size_t corner) {
+Point cornerOf(const NearChunk& chunk, std::size_t corner) {
     const auto& c = chunk.corner[corner % 3];
     const std::size_t t = corner / 3;
-    return Key(c[0][t]) | Key(c[1][t]) << 16 | Key(c[2][t]) << 32;
+    return {c[0][t], c[1][t], c[2][t]};
+}
+
+/// Those before the repeats of the last one.
+int trianglesOf(const Point* points, const std::uint8_t* numbers) {
+    const std::uint8_t* const last = numbers + kCorners - 3;
+    const auto isLast = [&](const std::uint8_t* n) {
+        return points[n[0]] == points[last[0]] && points[n[1]] == points[last[1]] &&
+               points[n[2]] == points[last[2]];
+    };
+    int count = kTriangles;
+    while (count > 1 && isLast(numbers + 3 * (count - 2)))
+        --count;
+    return count;
 }
 
 }  // namespace
@@ -35,40 +47,44 @@ int NearChunk::triangles() const noexcept {
 }
 
 void NearChunks::push_back(const NearChunk& chunk) {
-    std::array<Key, kCorners> points;
-    std::array<std::uint8_t, kCorners> numbers;  // [triangle][corner]
+    Point points[kCorners];
+    std::uint8_t numbers[kCorners];
     std::size_t count = 0;
     for (std::size_t corner = 0; corner < kCorners; ++corner) {
-        const Key key = keyOf(chunk, corner);
+        const Point p = cornerOf(chunk, corner);
         std::size_t known = count;
-        while (known > 0 && points[known - 1] != key)
+        while (known > 0 && points[known - 1] != p)
             --known;
-        if (known == 0) points[(known = ++count) - 1] = key;
+        if (known == 0) points[(known = ++count) - 1] = p;
         numbers[corner] = std::uint8_t(known - 1);
     }
+    push_back(chunk.low, chunk.step, points, count, numbers);
+}
+
+void NearChunks::push_back(const float (&low)[3], const float (&step)[3],
+                           const Point* points, std::size_t count,
+                           const std::uint8_t* numbers) {
     Place place = {};
-    std::copy_n(chunk.low, 3, place.low);
-    std::copy_n(chunk.step, 3, place.step);
-    place.triangles = std::uint64_t(chunk.triangles());
-    if (count > kMostShared) {
-        place.points = kCorners;
-        std::uint16_t* q = add(place);
-        for (int axis = 0; axis < 3; ++axis) {
-            for (int c = 0; c < 3; ++c)
-                q = std::copy_n(chunk.corner[c][axis], kTriangles, q);
+    std::copy_n(low, 3, place.low);
+    std::copy_n(step, 3, place.step);
+    place.triangles = std::uint64_t(trianglesOf(points, numbers));
+    const bool shared = count <= std::size_t(kMostShared);
+    place.points = shared ? count : std::size_t(kCorners);
+    std::uint16_t* q = add(place);
+    if (!shared) {
+        for (std::size_t axis = 0; axis < 3; ++axis) {
+            for (std::size_t c = 0; c < 3; ++c) {
+                for (std::size_t t = 0; t < kTriangles; ++t)
+                    *q++ = points[numbers[3 * t + c]][axis];
+            }
         }
         return;
     }
-    place.points = count;
-    std::uint16_t* const words = add(place);
-    for (std::size_t t = 0; t < kTriangles; ++t) {
-        const std::uint8_t* const n = numbers.data() + 3 * t;
-        words[t] = std::uint16_t(n[0] | n[1] << kBits | n[2] << 2 * kBits);
-    }
-    std::uint16_t* const q = words + kTriangles;
+    for (const std::uint8_t* n = numbers; n < numbers + kCorners; n += 3)
+        *q++ = std::uint16_t(n[0] | n[1] << kBits | n[2] << 2 * kBits);
     for (std::size_t axis = 0; axis < 3; ++axis) {
         for (std::size_t i = 0; i < count; ++i)
-            q[axis * count + i] = std::uint16_t(points[i] >> (16 * axis));
+            *q++ = points[i][axis];
     }
 }
 
@@ -76,11 +92,16 @@ void NearChunks::push_back(const NearChunk& chunk) {
 std::uint16_t* NearChunks::add(Place& place) {
     const std::size_t used = words_.empty() ? 0 : words_.size() - kSpare;
     const std::size_t more =
-        3 * std::size_t(place.points) + (place.areShared() ? kTriangles : 0);
+        3 * std::size_t(place.points) + (place.areShared() ? std::size_t(kTriangles) : 0);
     words_.resize(used + more + kSpare);
     place.first = used;
     places_.push_back(place);
     return words_.data() + used;
+}
+
+void NearChunks::reserve(std::size_t chunks, std::size_t points) {
+    places_.reserve(chunks);
+    words_.reserve(chunks * kTriangles + 3 * points + kSpare);
 }
 
 void NearChunks::append(NearChunks* parts, std::size_t count) {

@@ -46,9 +46,13 @@ void setBox(NearBoxes& boxes, std::size_t i, const NearChunks& chunks, std::size
     const std::size_t count = place.points;
     const std::uint16_t* q = chunks.points(k);
     for (int axis = 0; axis < 3; ++axis, q += count) {
-        const auto [least, most] = std::minmax_element(q, q + count);
-        boxes.low[axis][i] = place.low[axis] + place.step[axis] * float(*least);
-        boxes.high[axis][i] = place.low[axis] + place.step[axis] * float(*most);
+        std::uint16_t least = 0xffff, most = 0;
+        for (std::size_t point = 0; point < count; ++point) {
+            least = std::min(least, q[point]);
+            most = std::max(most, q[point]);
+        }
+        boxes.low[axis][i] = place.low[axis] + place.step[axis] * float(least);
+        boxes.high[axis][i] = place.low[axis] + place.step[axis] * float(most);
     }
 }
 

@@ -58,7 +58,7 @@ ShadowMap mapOf(const std::vector<Sheet>& sheets, std::vector<NearTexture> textu
         while (end < sheets.size() && end < i + 16 &&
                sheets[end].texture == sheets[i].texture)
             ++end;
-        NearChunk& chunk = near.triangles.chunks.emplace_back();
+        NearChunk chunk;
         NearSheetChunk& coordinates = near.chunks.emplace_back();
         coordinates.texture = sheets[i].texture;
         coordinates.triangles = std::uint32_t(end - i);
@@ -89,6 +89,7 @@ ShadowMap mapOf(const std::vector<Sheet>& sheets, std::vector<NearTexture> textu
                         std::uint16_t((s.uv[c][axis] - lowUv[axis]) * 0x1p10);
             }
         }
+        near.triangles.chunks.push_back(chunk);
         i = end;
     }
     auto map = ShadowMap::create(test::plainInfo(8, 8, 8), std::move(faces));

@@ -11,6 +11,7 @@
 // of them are its own. A chunk with more than 32 different ones, triangles that have
 // little to do with each other, is kept as it is.
 #pragma once
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -65,7 +66,16 @@ class NearChunks {
         std::size_t i_;
     };
 
+    using Point = std::array<std::uint16_t, 3>;  ///< u, v, w, in steps
+
     void push_back(const NearChunk& chunk);
+    /// A chunk of `count` points, 1..kCorners. Its corners, [triangle][corner], are those
+    /// of these numbers, all below `count`. Points that are the same are not put
+    /// together.
+    void push_back(const float (&low)[3], const float (&step)[3], const Point* points,
+                   std::size_t count, const std::uint8_t* numbers);
+    /// So many with so many points in all will come.
+    void reserve(std::size_t chunks, std::size_t points);
     /// Those of some others, which are empty from then on.
     void append(NearChunks* parts, std::size_t count);
     void shrink_to_fit();
