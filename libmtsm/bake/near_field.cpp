@@ -11,8 +11,8 @@ namespace {
 
 constexpr std::uint64_t kOfChunk = NearChunk::kTriangles;
 constexpr std::uint64_t kMega = 1u << 20;
-/// A triangle, its place in the order, and its part of a chunk.
-constexpr std::uint64_t kWorkOfTriangle = sizeof(NearTriangle) + 16 + 20;
+/// A triangle, its place in the order, and its part of a chunk, twice for a moment.
+constexpr std::uint64_t kWorkOfTriangle = sizeof(NearTriangle) + 16 + 2 * 20;
 
 /// About, of as many triangles and segments: some chunks have room left.
 std::uint64_t bytesOf(std::uint64_t triangles, std::uint64_t segments) {

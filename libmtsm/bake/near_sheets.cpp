@@ -22,9 +22,10 @@ constexpr std::size_t kPerTask = 1024;
 constexpr double kFinestStep = 0x1p-16;  // of texture coordinates
 
 using Coordinates = std::array<glm::dvec2, 3>;  // of a triangle's corners
-/// A triangle, its coordinates, its place in the order, and its part of a chunk.
+/// A triangle, its coordinates, its place in the order, and its part of a chunk, the
+/// points twice for a moment.
 constexpr std::uint64_t kWorkOfTriangle =
-    sizeof(NearTriangle) + sizeof(Coordinates) + 4 + 16 + 34;
+    sizeof(NearTriangle) + sizeof(Coordinates) + 4 + 16 + 34 + 20;
 
 /// All triangles with one texture.
 struct Sheets {

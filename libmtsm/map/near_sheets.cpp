@@ -11,20 +11,28 @@
 
 namespace mtsm {
 
+namespace {
+std::uint64_t texelsOf(std::uint32_t width, std::uint32_t height) {
+    return std::uint64_t(width) * height;
+}
+}  // namespace
+
 std::uint64_t nearSheetBytes(std::uint64_t chunks, int points) noexcept {
     return nearFieldBytes(chunks, points) + chunks * sizeof(NearSheetChunk);
 }
 
 std::uint64_t nearTextureBytes(std::uint32_t width, std::uint32_t height) noexcept {
     const std::uint64_t w = width, h = height;
-    return w * h + 4 * (w + 1) * (h + 1);
+    return texelsOf(width, height) + 4 * (w + 1) * (h + 1);
 }
 
 std::uint64_t memoryBytes(const NearSheets& sheets) noexcept {
     std::uint64_t bytes =
         memoryBytes(sheets.triangles) + sheets.chunks.size() * sizeof(NearSheetChunk);
-    for (const NearTexture& texture : sheets.textures)
+    for (const NearTexture& texture : sheets.textures) {
         bytes += nearTextureBytes(texture.width, texture.height);
+        if (texture.texels.empty()) bytes -= texelsOf(texture.width, texture.height);
+    }
     return bytes;
 }
 

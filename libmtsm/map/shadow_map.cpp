@@ -319,6 +319,9 @@ void ShadowMap::dropLayers() noexcept {
     for (MapFace& face : faces_) {
         for (Tile& t : face.tiles)
             t = Tile();
+        // Queries look them up as corners.
+        for (NearTexture& texture : face.nearSheets.textures)
+            texture.texels = {};
     }
     hierarchy_ = {};
 }

@@ -529,7 +529,7 @@ Vec Walk::opacity(std::size_t index, const Triangles& triangles, int t,
     const NearSheetChunk& chunk = sheets_.chunks[index];
     const NearTexture& texture = sheets_.textures[chunk.texture];
     if (texture.width == 1 && texture.height == 1) {
-        const float value = float(texture.texels[0]) * (1.0f / 255.0f);
+        const float value = float(texture.corners[0] & 0xff) * (1.0f / 255.0f);
         const bool there = texture.cutoff < 0.0f || value >= texture.cutoff;
         return hn::Set(d, !there                   ? 0.0f
                           : texture.cutoff >= 0.0f ? texture.opacity

@@ -39,7 +39,8 @@ struct NearTexture {
     TextureWrap wrapU = TextureWrap::repeat, wrapV = TextureWrap::repeat;
     float cutoff = -1.0f;  ///< as OpacityImage::cutoff; finite
     float opacity = 1.0f;  ///< multiplies what texels say, in [0, 1]
-    /// [height][width], upper row first, in 255ths.
+    /// [height][width], upper row first, in 255ths. None after releaseLayers()
+    /// (mtsm/shadow.h).
     std::vector<std::uint8_t> texels = {255};
     /// [height + 1][width + 1]: four texels around a corner, the upper left one in the
     /// lowest byte, then its right, lower and lower right neighbours; what lies beyond a
