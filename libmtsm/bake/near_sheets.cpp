@@ -243,16 +243,17 @@ NearSheets pack(const std::vector<Sheets>& sheets, const Projection& projection)
         if (part.triangles.empty()) continue;
         NearPacking packing = packTriangles(part.triangles, projection);
         const std::size_t chunks = packing.field.chunks.size();
-        const std::size_t first = near.chunks.size();
         const auto texture = std::uint32_t(near.textures.size());
         near.textures.push_back(part.texture);
         near.triangles.chunks.append(&packing.field.chunks, 1);
-        near.chunks.resize(first + chunks);
-        base::parallelRanges(std::size_t(0), chunks, kPerTask, [&](auto begin, auto end) {
-            for (std::size_t i = begin; i < end; ++i)
-                near.chunks[first + i] =
-                    chunkOf(texture, part, packing.triangle.data() + kTriangles * i);
+        std::vector<NearSheetChunks> tasks((chunks + kPerTask - 1) / kPerTask);
+        base::parallelFor(std::size_t(0), tasks.size(), [&](std::size_t task) {
+            const std::size_t end = std::min((task + 1) * kPerTask, chunks);
+            for (std::size_t i = task * kPerTask; i < end; ++i)
+                tasks[task].push_back(
+                    chunkOf(texture, part, packing.triangle.data() + kTriangles * i));
         });
+        near.chunks.append(tasks.data(), tasks.size());
     }
     return near;
 }
@@ -269,10 +270,11 @@ Status bakeNearSheets(Visits& visits, const BakeOptions& options, std::uint64_t 
     }
     const WorkClock clock(visits);
     const std::uint64_t budget = std::min(options.nearField, bytesLeft / 4);
-    const std::uint64_t most = std::min(
-        budget / (NearChunks::memoryBytes(1, kFewestPoints) + sizeof(NearSheetChunk)) *
-            kTriangles,
-        bytesLeft / kWorkOfTriangle);
+    const std::uint64_t most = std::min(budget /
+                                            (NearChunks::memoryBytes(1, kFewestPoints) +
+                                             NearSheetChunks::memoryBytes(1, 1)) *
+                                            kTriangles,
+                                        bytesLeft / kWorkOfTriangle);
     Collection found(faces[0].projection, options, most);
     const Status status = visits.each(meshesOnly([&](const MeshView& mesh) -> Status {
         if (auto s = visits.progress()("collecting the near field", -1.0); !s) return s;

@@ -1,22 +1,15 @@
 #include "mtsm/near_chunks.h"
 
 #include <algorithm>
-#include <array>
 #include <utility>
+
+#include "map/near_points.h"
 
 namespace mtsm {
 namespace {
 
-constexpr int kTriangles = NearChunk::kTriangles, kCorners = NearChunks::kCorners;
-constexpr int kBits = NearChunks::kBits;
-
+using map_detail::kCorners, map_detail::kTriangles;
 using Point = NearChunks::Point;
-
-Point cornerOf(const NearChunk& chunk, std::size_t corner) {
-    const auto& c = chunk.corner[corner % 3];
-    const std::size_t t = corner / 3;
-    return {c[0][t], c[1][t], c[2][t]};
-}
 
 /// Those before the repeats of the last one.
 int trianglesOf(const Point* points, const std::uint8_t* numbers) {
@@ -25,10 +18,10 @@ int trianglesOf(const Point* points, const std::uint8_t* numbers) {
         return points[n[0]] == points[last[0]] && points[n[1]] == points[last[1]] &&
                points[n[2]] == points[last[2]];
     };
-    int count = kTriangles;
+    std::size_t count = kTriangles;
     while (count > 1 && isLast(numbers + 3 * (count - 2)))
         --count;
-    return count;
+    return int(count);
 }
 
 }  // namespace
@@ -47,18 +40,8 @@ int NearChunk::triangles() const noexcept {
 }
 
 void NearChunks::push_back(const NearChunk& chunk) {
-    Point points[kCorners];
-    std::uint8_t numbers[kCorners];
-    std::size_t count = 0;
-    for (std::size_t corner = 0; corner < kCorners; ++corner) {
-        const Point p = cornerOf(chunk, corner);
-        std::size_t known = count;
-        while (known > 0 && points[known - 1] != p)
-            --known;
-        if (known == 0) points[(known = ++count) - 1] = p;
-        numbers[corner] = std::uint8_t(known - 1);
-    }
-    push_back(chunk.low, chunk.step, points, count, numbers);
+    const map_detail::NearPoints<3> p(chunk.corner);
+    push_back(chunk.low, chunk.step, p.points, p.count, p.numbers);
 }
 
 void NearChunks::push_back(const float (&low)[3], const float (&step)[3],
@@ -68,31 +51,14 @@ void NearChunks::push_back(const float (&low)[3], const float (&step)[3],
     std::copy_n(low, 3, place.low);
     std::copy_n(step, 3, place.step);
     place.triangles = std::uint64_t(trianglesOf(points, numbers));
-    const bool shared = count <= std::size_t(kMostShared);
-    place.points = shared ? count : std::size_t(kCorners);
-    std::uint16_t* q = add(place);
-    if (!shared) {
-        for (std::size_t axis = 0; axis < 3; ++axis) {
-            for (std::size_t c = 0; c < 3; ++c) {
-                for (std::size_t t = 0; t < kTriangles; ++t)
-                    *q++ = points[numbers[3 * t + c]][axis];
-            }
-        }
-        return;
-    }
-    for (const std::uint8_t* n = numbers; n < numbers + kCorners; n += 3)
-        *q++ = std::uint16_t(n[0] | n[1] << kBits | n[2] << 2 * kBits);
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-        for (std::size_t i = 0; i < count; ++i)
-            *q++ = points[i][axis];
-    }
+    place.points = map_detail::areShared(count) ? count : kCorners;
+    map_detail::writePoints(points, count, numbers, add(place));
 }
 
 /// Where the words of a new chunk go.
 std::uint16_t* NearChunks::add(Place& place) {
     const std::size_t used = words_.empty() ? 0 : words_.size() - kSpare;
-    const std::size_t more =
-        3 * std::size_t(place.points) + (place.areShared() ? std::size_t(kTriangles) : 0);
+    const std::size_t more = map_detail::wordsOf(3, place.points);
     words_.resize(used + more + kSpare);
     place.first = used;
     places_.push_back(place);
@@ -129,8 +95,8 @@ void NearChunks::append(NearChunks* parts, std::size_t count) {
 }
 
 std::uint64_t NearChunks::memoryBytes(std::uint64_t chunks, int points) noexcept {
-    const int words = points > kMostShared ? 3 * kCorners : 3 * points + int(kTriangles);
-    return chunks * (sizeof(Place) + std::uint64_t(words) * sizeof(std::uint16_t));
+    const std::size_t words = map_detail::wordsOf(3, std::size_t(points));
+    return chunks * (sizeof(Place) + words * sizeof(std::uint16_t));
 }
 
 NearChunk NearChunks::operator[](std::size_t i) const noexcept {

@@ -399,7 +399,7 @@ inline Golden nearSheets() {
     }
     for (std::uint32_t i = 0; i < 1026; ++i) {
         NearChunk chunk;
-        NearSheetChunk& coordinates = near.chunks.emplace_back();
+        NearSheetChunk coordinates;
         coordinates.texture = i % 3;
         coordinates.triangles = i % 5 == 4 ? 1 + i % 16 : 16;
         for (int axis = 0; axis < 3; ++axis) {
@@ -421,6 +421,7 @@ inline Golden nearSheets() {
             }
         }
         near.triangles.chunks.push_back(chunk);
+        near.chunks.push_back(coordinates);
     }
     auto map = ShadowMap::create(six.map.info(), std::move(faces));
     if (!map) throw std::runtime_error(map.error().message);

@@ -6,6 +6,8 @@
 #include <random>
 #include <vector>
 
+#include "mtsm/near_sheets.h"
+
 using namespace mtsm;
 
 namespace {
@@ -110,4 +112,49 @@ TEST_CASE("words behind the last point may be read", "[map]") {
     chunks.push_back(chunkOf(1, 1, random));
     const std::uint16_t* const lastAxis = chunks.points(0) + 2;
     CHECK(std::count(lastAxis + 1, lastAxis + NearChunks::kMostShared, 0) == 31);
+}
+
+TEST_CASE("texture coordinates come out as they went in, and take memory once",
+          "[map][roundtrip]") {
+    std::mt19937_64 random(13);
+    std::vector<NearSheetChunks> parts(3);
+    std::vector<NearSheetChunk> expected;
+    std::uint64_t bytes = 0;
+    for (int pairs = 1; pairs <= 48; ++pairs) {
+        NearSheetChunk chunk;
+        chunk.texture = std::uint32_t(random());
+        chunk.triangles = 1 + std::uint32_t(random() % 16);
+        for (int axis = 0; axis < 2; ++axis) {
+            chunk.low[axis] = float(random() % 1000) - 500.0f;
+            chunk.step[axis] = 1.0f / float(1 + random() % 512);
+        }
+        for (int t = 0; t < NearChunk::kTriangles; ++t) {
+            for (int c = 0; c < 3; ++c) {
+                chunk.uv[c][0][t] = std::uint16_t((3 * t + c) % pairs * 1300);
+                chunk.uv[c][1][t] = std::uint16_t((3 * t + c) % pairs % 5 + 60000);
+            }
+        }
+        expected.push_back(chunk);
+        parts[std::size_t(pairs) / 17].push_back(chunk);
+        // Texture, grid and where the rest begins; one pair alone; three numbers for each
+        // triangle and pairs; or 48 pairs.
+        const int rest = pairs == 1 ? 4 : pairs <= 32 ? 32 + 4 * pairs : 192;
+        CHECK(NearSheetChunks::memoryBytes(1, pairs) == std::uint64_t(32 + rest));
+        bytes += std::uint64_t(32 + rest);
+    }
+    NearSheetChunks all;
+    all.append(parts.data(), parts.size());
+    CHECK(parts[1].empty());
+    CHECK(all.memoryBytes() == bytes);
+    REQUIRE(all.size() == expected.size());
+    std::size_t i = 0;
+    for (const NearSheetChunk& chunk : all) {
+        INFO(i + 1 << " pairs");
+        const NearSheetChunk& e = expected[i++];
+        CHECK(chunk.texture == e.texture);
+        CHECK(chunk.triangles == e.triangles);
+        CHECK(std::equal(chunk.low, chunk.low + 2, e.low));
+        CHECK(std::equal(chunk.step, chunk.step + 2, e.step));
+        CHECK(std::equal(&chunk.uv[0][0][0], &chunk.uv[0][0][0] + 96, &e.uv[0][0][0]));
+    }
 }

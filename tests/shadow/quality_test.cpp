@@ -186,7 +186,7 @@ TEST_CASE("a map's kind is told by the near fields of all its faces", "[quality]
     };
     const auto sheets = [](Faces& faces) {
         faces.back().nearSheets.triangles.chunks.push_back({});
-        faces.back().nearSheets.chunks.resize(1);
+        faces.back().nearSheets.chunks.push_back({});
         faces.back().nearSheets.textures.resize(1);
     };
     const auto both = [&](Faces& faces) {

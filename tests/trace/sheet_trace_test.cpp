@@ -59,7 +59,7 @@ ShadowMap mapOf(const std::vector<Sheet>& sheets, std::vector<NearTexture> textu
                sheets[end].texture == sheets[i].texture)
             ++end;
         NearChunk chunk;
-        NearSheetChunk& coordinates = near.chunks.emplace_back();
+        NearSheetChunk coordinates;
         coordinates.texture = sheets[i].texture;
         coordinates.triangles = std::uint32_t(end - i);
         glm::dvec3 low(HUGE_VAL);
@@ -90,6 +90,7 @@ ShadowMap mapOf(const std::vector<Sheet>& sheets, std::vector<NearTexture> textu
             }
         }
         near.triangles.chunks.push_back(chunk);
+        near.chunks.push_back(coordinates);
         i = end;
     }
     auto map = ShadowMap::create(test::plainInfo(8, 8, 8), std::move(faces));

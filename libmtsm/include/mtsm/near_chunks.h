@@ -34,6 +34,19 @@ struct NearChunk {
     [[nodiscard]] int triangles() const noexcept;
 };
 
+/// Of chunks that are written out one by one.
+template <typename Chunks>
+struct ChunkIterator {
+    const Chunks* all;
+    std::size_t i;
+
+    [[nodiscard]] auto operator*() const noexcept { return (*all)[i]; }
+    ChunkIterator& operator++() noexcept { return ++i, *this; }
+    [[nodiscard]] bool operator!=(const ChunkIterator& b) const noexcept {
+        return i != b.i;
+    }
+};
+
 /// Chunks in a row. A chunk comes out as it went in.
 class NearChunks {
   public:
@@ -52,20 +65,6 @@ class NearChunks {
     };
     static_assert(sizeof(Place) == 32);
 
-    class Iterator {
-      public:
-        Iterator(const NearChunks& all, std::size_t i) : all_(&all), i_(i) {}
-        [[nodiscard]] NearChunk operator*() const noexcept { return (*all_)[i_]; }
-        Iterator& operator++() noexcept { return ++i_, *this; }
-        [[nodiscard]] bool operator!=(const Iterator& b) const noexcept {
-            return i_ != b.i_;
-        }
-
-      private:
-        const NearChunks* all_;
-        std::size_t i_;
-    };
-
     using Point = std::array<std::uint16_t, 3>;  ///< u, v, w, in steps
 
     void push_back(const NearChunk& chunk);
@@ -83,8 +82,10 @@ class NearChunks {
     [[nodiscard]] std::size_t size() const noexcept { return places_.size(); }
     [[nodiscard]] bool empty() const noexcept { return places_.empty(); }
     [[nodiscard]] NearChunk operator[](std::size_t i) const noexcept;
-    [[nodiscard]] Iterator begin() const noexcept { return {*this, 0}; }
-    [[nodiscard]] Iterator end() const noexcept { return {*this, size()}; }
+    [[nodiscard]] ChunkIterator<NearChunks> begin() const noexcept { return {this, 0}; }
+    [[nodiscard]] ChunkIterator<NearChunks> end() const noexcept {
+        return {this, size()};
+    }
 
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept {
         return places_.size() * sizeof(Place) + words_.size() * sizeof(std::uint16_t);
