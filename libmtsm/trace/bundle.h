@@ -50,6 +50,11 @@ struct RayBundle {
     /// [group]: the slopes of the rays of all receivers, if there are several groups.
     alignas(64) float groupLowU[kMostRows], groupHighU[kMostRows];
     alignas(64) float groupLowV[kMostRows], groupHighV[kMostRows];
+    /// [group][receiver]: those of one receiver, if there are several groups.
+    alignas(64) float partLowU[kMostRows][kMostReceivers];
+    alignas(64) float partHighU[kMostRows][kMostReceivers];
+    alignas(64) float partLowV[kMostRows][kMostReceivers];
+    alignas(64) float partHighV[kMostRows][kMostReceivers];
 
     // How coarsely rays may be answered.
     /// [receiver]: distance between neighbouring rays, pixels, per w that they are away
@@ -58,7 +63,7 @@ struct RayBundle {
     /// [receiver]: no level above this one may answer.
     std::uint8_t topLevel[kMostReceivers];
     /// [row][lane]: a texel that is covered in part blocks the rays whose threshold
-    /// (0..15; exclusive or with a number of the patch) lies below its share.
+    /// (0..15; exclusive or with a number of the texel) lies within its share.
     std::uint8_t threshold[kMostRows][kLanes];
 
     /// [receiver]: tangent planes; nothing below them counts. A place is planeU (u -

@@ -64,7 +64,7 @@ constexpr int kMostLevels = 24;
 
 /// Groups that wait, with the receivers that they may still matter to.
 struct Waiting {
-    std::uint32_t group, groups;
+    PatchList list;
     std::uint16_t lanes;
 };
 
@@ -76,12 +76,13 @@ class Queue {
     [[nodiscard]] bool empty() const { return first_ == last_; }
     void push(Waiting w) { waiting_[last_++ % kSize] = w; }
     /// Takes one group.
-    std::uint32_t pop(std::uint16_t& lanes) {
+    std::uint32_t pop(std::uint32_t& slots, std::uint16_t& lanes) {
         const bool full = last_ - first_ > kSize / 2;
         Waiting& w = waiting_[(full ? last_ - 1 : first_) % kSize];
-        const std::uint32_t group = w.group++;
+        slots = w.list.slotsOf(0);
         lanes = w.lanes;
-        if (--w.groups == 0) full ? --last_ : ++first_;
+        const std::uint32_t group = w.list.group++;
+        if (--w.list.groups == 0) full ? --last_ : ++first_;
         return group;
     }
 
@@ -101,6 +102,14 @@ HWY_INLINE hn::Mask<Floats> crosses(Vec side0, Vec side1, Vec startLow, Vec star
     const Vec high = hn::Max(hn::Mul(slopeHigh, least), hn::Mul(slopeHigh, most));
     return hn::And(hn::Le(hn::Add(startLow, low), side1),
                    hn::Ge(hn::Add(startHigh, high), side0));
+}
+
+/// The same of rays that start in one place each: sides are so far away from it.
+HWY_INLINE hn::Mask<Floats> crosses(Vec side0, Vec side1, Vec slopeLow, Vec slopeHigh,
+                                    Vec least, Vec most) {
+    const Vec low = hn::Min(hn::Mul(slopeLow, least), hn::Mul(slopeLow, most));
+    const Vec high = hn::Max(hn::Mul(slopeHigh, least), hn::Mul(slopeHigh, most));
+    return hn::And(hn::Le(low, side1), hn::Ge(high, side0));
 }
 
 /// Which patches of four groups, of a vector from number `first` on, a ray of the hull
@@ -154,8 +163,7 @@ void enterTiles(const PatchTree& tree, const RayHull& hull, bool wide, std::size
     for (std::uint32_t y = place(v0, entry.rows); y <= place(v1, entry.rows); ++y) {
         for (std::uint32_t x = place(u0, entry.columns); x <= place(u1, entry.columns);
              ++x) {
-            const PatchTree::Entry& tile =
-                entry.tiles[std::size_t(y) * entry.columns + x];
+            const PatchList& tile = entry.tiles[std::size_t(y) * entry.columns + x];
             if (tile.groups > 0) take(tile);
         }
     }
@@ -224,8 +232,8 @@ class Traversal {
     /// were many, of a coarser one.
     void enter() {
         enterTiles(tree_, hull_, anyWide_, std::size_t(std::max(top_, 1)),
-                   [&](const PatchTree::Entry& tile) {
-                       queue_.push({tile.group, tile.groups, lanes_});
+                   [&](const PatchList& tile) {
+                       queue_.push({tile, lanes_});
                    });
     }
 
@@ -241,8 +249,9 @@ class Traversal {
             groups[i] = tree_.groups();  // any one, if there is none to look at
             lanes[i] = 0;
             if (!queue_.empty()) {
-                groups[i] += queue_.pop(lanes[i]);
-                met |= 15u << (4 * i);
+                std::uint32_t slots = 0;
+                groups[i] += queue_.pop(slots, lanes[i]);
+                met |= slots << (4 * i);
             }
         }
         std::uint32_t reached = 0;
@@ -299,14 +308,10 @@ class Traversal {
             const Vec lowest = hn::Sub(set(p.low), w);
             const Vec least = hn::Max(lowest, rise), most = hn::Sub(set(p.high), w);
             auto met16 = hn::Ge(most, rise);
-            const auto crosses = [&](Vec away, Vec half, Vec low, Vec high) {
-                const Vec nearest = hn::Min(hn::Mul(low, least), hn::Mul(low, most));
-                const Vec furthest = hn::Max(hn::Mul(high, least), hn::Mul(high, most));
-                return hn::And(hn::Le(nearest, hn::Add(away, half)),
-                               hn::Ge(furthest, hn::Sub(away, half)));
-            };
-            met16 = hn::And(met16, crosses(awayU, halfU, lowU, highU));
-            met16 = hn::And(met16, crosses(awayV, halfV, lowV, highV));
+            met16 = hn::And(met16, crosses(hn::Sub(awayU, halfU), hn::Add(awayU, halfU),
+                                           lowU, highU, least, most));
+            met16 = hn::And(met16, crosses(hn::Sub(awayV, halfV), hn::Add(awayV, halfV),
+                                           lowV, highV, least, most));
             // Height at the box's centre, and how it changes along the patch's plane.
             Vec above = hn::MulAdd(b, awayV, hn::Mul(a, awayU));
             above = hn::MulAdd(c, hn::Sub(set(p.w), w), above);
@@ -352,7 +357,7 @@ class Traversal {
         const std::uint64_t groups = groupsMet(p);
         if (groups == 0) return;
         std::uint32_t answered = lanes;
-        if (p.childGroups > 0) {
+        if (!p.isLeaf()) {
             answered &= mayAnswer_[p.level];
             if (answered && p.sheet) test<Kind::sheet>(p, groups, answered);
             answered &= far & ~std::uint32_t(bundle_.wide);
@@ -363,8 +368,9 @@ class Traversal {
             test<Kind::whole>(p, groups, answered);
         const std::uint32_t rest = lanes & ~answered & lanes_;
         if (rest == 0) return;
-        queue_.push({p.children, p.childGroups, std::uint16_t(rest)});
-        const auto* next = reinterpret_cast<const char*>(tree_.groups() + p.children);
+        queue_.push({p.children, std::uint16_t(rest)});
+        const auto* next =
+            reinterpret_cast<const char*>(tree_.groups() + p.children.group);
         for (std::size_t at = 0; at < sizeof(PatchGroup); at += 64)
             hwy::Prefetch(next + at);
     }
@@ -374,7 +380,8 @@ class Traversal {
 
     /// As many rays of one receiver as fill a vector.
     struct Batch {
-        float startU, startV, startW;
+        float u, v;  ///< the start's place in the patch: texels from the tile's corner
+        float rise;  ///< of the patch's plane above the start, there, w
         Vec du, dv, dw, begin;
         std::uint32_t open;
         const std::uint8_t* threshold;
@@ -383,9 +390,12 @@ class Traversal {
     /// The patch as rays see it.
     struct Seen {
         const Patch& patch;
-        const CoverPlane* cover;
+        const std::uint16_t* cover;
         float cornerU, cornerV, perTexel;
-        std::uint32_t number;
+        int column, columns, row, rows;  // texels of its box, in the tile
+        std::uint32_t tile;  ///< if its texels are shared: a number of the tile
+        /// [receiver]: as Batch has them.
+        alignas(64) float u[kMostReceivers], v[kMostReceivers], rise[kMostReceivers];
     };
 
     enum class Kind { whole, sheet, bumpy };
@@ -393,25 +403,22 @@ class Traversal {
     /// those that surely go through it; the patch's children still count for the others.
     template <Kind kKind>
     void test(const Patch& p, std::uint64_t groups, std::uint32_t lanes) {
-        const auto texel = float(1u << p.level);
-        const float side = kTexels * texel;
-        const Seen seen{p,
-                        tree_.covers() + p.cover,
-                        std::floor(p.u / side) * side,
-                        std::floor(p.v / side) * side,
-                        1.0f / texel,
-                        (p.cover * 0x9e3779b1u) >> 28};
-        for (lanes &= lanes_; lanes; lanes &= lanes - 1) {
-            const int receiver = std::countr_zero(lanes);
-            Batch batch;
-            batch.startU = bundle_.u[receiver], batch.startV = bundle_.v[receiver];
-            batch.startW = bundle_.w[receiver];
-            bool closed = false;
-            for (std::uint64_t left = groups; left; left &= left - 1) {
-                const int row = bundle_.row(receiver, std::countr_zero(left));
+        Seen seen =
+            seenBy(p, kKind == Kind::bumpy ? BumpPlane::kSide : kTexels << p.level);
+        std::uint32_t closed = 0;
+        for (std::uint64_t left = groups; left; left &= left - 1) {
+            const int group = std::countr_zero(left);
+            std::uint32_t some = lanes & lanes_;
+            if (bundle_.groups > 1) some &= lanesMet(p, group);
+            for (; some; some &= some - 1) {
+                const int receiver = std::countr_zero(some);
+                const int row = bundle_.row(receiver, group);
                 for (int k = 0; k < kLanes; k += kN) {
+                    Batch batch;
                     batch.open = (std::uint32_t(bundle_.open[row]) >> k) & kAll;
                     if (batch.open == 0) continue;
+                    batch.u = seen.u[receiver], batch.v = seen.v[receiver];
+                    batch.rise = seen.rise[receiver];
                     batch.du = hn::Load(kF, bundle_.du[row] + k);
                     batch.dv = hn::Load(kF, bundle_.dv[row] + k);
                     batch.dw = hn::Load(kF, bundle_.dw[row] + k);
@@ -425,18 +432,76 @@ class Traversal {
                     else
                         hits = met(seen, batch);
                     bundle_.open[row] &= std::uint16_t(~(hits << k));
-                    closed = closed || hits == batch.open;
+                    closed |= std::uint32_t(hits == batch.open) << receiver;
                 }
             }
-            if (closed && !anyOpen(receiver)) lanes_ &= std::uint16_t(~(1u << receiver));
+        }
+        for (; closed; closed &= closed - 1) {
+            const int receiver = std::countr_zero(closed);
+            if (!anyOpen(receiver)) lanes_ &= std::uint16_t(~(1u << receiver));
         }
     }
 
-    /// The depth of the patch's plane over the start, above it.
-    static float riseAt(const Seen& p, const Batch& r) {
-        return p.patch.w - r.startW + p.patch.gradientU * (r.startU - p.patch.u) +
-               p.patch.gradientV * (r.startV - p.patch.v);
+    /// `side`: of the square in which its texels are counted, pixels.
+    Seen seenBy(const Patch& p, int side) const {
+        const auto texel = float(1u << p.level), square = float(side);
+        Seen seen{p,
+                  tree_.covers() + p.cover,
+                  std::floor(p.u / square) * square,
+                  std::floor(p.v / square) * square,
+                  1.0f / texel,
+                  p.firstColumn(),
+                  p.columns(),
+                  p.firstRow(),
+                  p.rows(),
+                  0u,
+                  {},
+                  {},
+                  {}};
+        if (p.shared) {
+            const auto x = std::uint32_t(seen.cornerU), y = std::uint32_t(seen.cornerV);
+            seen.tile = (x * 0x85ebca6bu) ^ (y * 0xc2b2ae35u);
+        }
+        const auto set = [](float x) { return hn::Set(kF, x); };
+        for (int k = 0; k < kMostReceivers; k += kN) {
+            const Vec u = hn::Load(kF, bundle_.u + k), v = hn::Load(kF, bundle_.v + k);
+            Vec rise = hn::Sub(set(p.w), hn::Load(kF, bundle_.w + k));
+            rise = hn::MulAdd(set(p.gradientU), hn::Sub(u, set(p.u)), rise);
+            rise = hn::MulAdd(set(p.gradientV), hn::Sub(v, set(p.v)), rise);
+            hn::Store(rise, kF, seen.rise + k);
+            hn::Store(hn::Mul(hn::Sub(u, set(seen.cornerU)), set(seen.perTexel)), kF,
+                      seen.u + k);
+            hn::Store(hn::Mul(hn::Sub(v, set(seen.cornerV)), set(seen.perTexel)), kF,
+                      seen.v + k);
+        }
+        return seen;
     }
+
+    /// Receivers some of whose rays of the group may meet the patch.
+    std::uint32_t lanesMet(const Patch& p, int group) const {
+        const auto set = [](float x) { return hn::Set(kF, x); };
+        const Vec halfU = set(p.halfU + tree_.margin());
+        const Vec halfV = set(p.halfV + tree_.margin());
+        std::uint32_t met = bundle_.wide;
+        for (int k = 0; k < kMostReceivers; k += kN) {
+            const auto load = [k](const float* x) { return hn::Load(kF, x + k); };
+            const Vec w = load(bundle_.w);
+            const Vec least = hn::Max(hn::Sub(set(p.low), w), load(bundle_.rise));
+            const Vec most = hn::Sub(set(p.high), w);
+            const Vec awayU = hn::Sub(set(p.u), load(bundle_.u));
+            const Vec awayV = hn::Sub(set(p.v), load(bundle_.v));
+            const auto met16 =
+                hn::And(crosses(hn::Sub(awayU, halfU), hn::Add(awayU, halfU),
+                                load(bundle_.partLowU[group]),
+                                load(bundle_.partHighU[group]), least, most),
+                        crosses(hn::Sub(awayV, halfV), hn::Add(awayV, halfV),
+                                load(bundle_.partLowV[group]),
+                                load(bundle_.partHighV[group]), least, most));
+            met |= bitsOf(met16) << k;
+        }
+        return met;
+    }
+
     /// One over how fast the rays come nearer to the patch's plane.
     static Vec perApproach(const Seen& p, const Batch& r) {
         const Vec speed = hn::NegMulAdd(hn::Set(kF, p.patch.gradientU), r.du, r.dw);
@@ -445,12 +510,12 @@ class Traversal {
 
     /// Rays that go from below a sheet to above it within its box.
     static std::uint32_t through(const Seen& p, const Batch& r) {
-        const float rise = riseAt(p, r), residual = p.patch.residual;
+        const float residual = p.patch.residual, texel = 1.0f / p.perTexel;
         const Vec inverse = perApproach(p, r);
-        const Vec s0 = hn::Mul(hn::Set(kF, rise - residual), inverse);
-        const Vec s1 = hn::Mul(hn::Set(kF, rise + residual), inverse);
-        const Vec u0 = hn::Set(kF, r.startU - p.patch.u);
-        const Vec v0 = hn::Set(kF, r.startV - p.patch.v);
+        const Vec s0 = hn::Mul(hn::Set(kF, r.rise - residual), inverse);
+        const Vec s1 = hn::Mul(hn::Set(kF, r.rise + residual), inverse);
+        const Vec u0 = hn::Set(kF, r.u * texel + (p.cornerU - p.patch.u));
+        const Vec v0 = hn::Set(kF, r.v * texel + (p.cornerV - p.patch.v));
         const Vec halfU = hn::Set(kF, p.patch.halfU), halfV = hn::Set(kF, p.patch.halfV);
         auto hit = hn::And(hn::Gt(s0, r.begin), hn::Le(s1, hn::Set(kF, 1.0f)));
         hit = hn::And(hit, hn::Gt(inverse, hn::Zero(kF)));
@@ -463,45 +528,45 @@ class Traversal {
 
     /// Rays that meet the patch's plane where it is covered.
     std::uint32_t met(const Seen& p, const Batch& r) const {
-        const Vec s = hn::Mul(hn::Set(kF, riseAt(p, r)), perApproach(p, r));
-        const Vec scale = hn::Set(kF, p.perTexel), step = hn::Mul(s, scale);
-        const Vec u0 = hn::Set(kF, (r.startU - p.cornerU) * p.perTexel);
-        const Vec v0 = hn::Set(kF, (r.startV - p.cornerV) * p.perTexel);
-        const Vec u = hn::MulAdd(r.du, step, u0), v = hn::MulAdd(r.dv, step, v0);
-        const Vec none = hn::Zero(kF), all = hn::Set(kF, float(kTexels));
+        const Vec s = hn::Mul(hn::Set(kF, r.rise), perApproach(p, r));
+        const Vec step = hn::Mul(s, hn::Set(kF, p.perTexel));
+        const Vec u = hn::MulAdd(r.du, step, hn::Set(kF, r.u));
+        const Vec v = hn::MulAdd(r.dv, step, hn::Set(kF, r.v));
+        const auto inside = [](Vec x, int first, int count) {
+            return hn::And(hn::Ge(x, hn::Set(kF, float(first))),
+                           hn::Lt(x, hn::Set(kF, float(first + count))));
+        };
         auto hit = hn::And(hn::Gt(s, r.begin), hn::Le(s, hn::Set(kF, 1.0f)));
-        hit = hn::And(hit, hn::And(hn::Ge(u, none), hn::Lt(u, all)));
-        hit = hn::And(hit, hn::And(hn::Ge(v, none), hn::Lt(v, all)));
+        hit = hn::And(hit, inside(u, p.column, p.columns));
+        hit = hn::And(hit, inside(v, p.row, p.rows));
         const std::uint32_t hits = bitsOf(hit) & r.open;
         if (hits == 0) return 0;
         const VecI fifteen = hn::Set(kI, kTexels - 1);
         const VecI x = hn::And(hn::ConvertTo(kI, u), fifteen);
-        const VecI y = hn::And(hn::ConvertTo(kI, v), fifteen);
+        const VecI row = hn::Sub(hn::ConvertTo(kI, v), hn::Set(kI, p.row));
+        const VecI y = hn::And(row, fifteen);
         const VecI bit = hn::Shl(hn::Set(kI, 1), x);
         if (!p.patch.shared)
-            return hits & bitsOf(hn::Ne(hn::And(rowsAt(*p.cover, y), bit), hn::Zero(kI)));
-        return hits & sharesAbove(p, r, y, bit);
+            return hits & bitsOf(hn::Ne(hn::And(rowsAt(p.cover, y), bit), hn::Zero(kI)));
+        return hits & sharesAbove(p, r, x, y, bit);
     }
 
     /// Rays that meet the pixels of a bumpy patch, each of which lies on a plane of its
     /// own.
     std::uint32_t metBumps(const Seen& p, const Batch& r) const {
-        const BumpPlane bumps = std::bit_cast<BumpPlane>(*p.cover);
+        const BumpPlane bumps = tree_.bumps(p.patch.cover);
         const Vec inverse = perApproach(p, r);
-        const float rise = riseAt(p, r), perStep = p.patch.residual / BumpPlane::kSteps;
-        constexpr float kSide = BumpPlane::kSide;
-        const float u0 = r.startU - std::floor(p.patch.u / kSide) * kSide;
-        const float v0 = r.startV - std::floor(p.patch.v / kSide) * kSide;
+        const float perStep = p.patch.residual / BumpPlane::kSteps;
         const Vec none = hn::Zero(kF), one = hn::Set(kF, 1.0f);
         auto hit = hn::Gt(none, one);
         for (int t = 0; t < BumpPlane::kSide * BumpPlane::kSide; ++t) {
             if (bumps.offset[t] == BumpPlane::kNone) continue;
-            const float above = rise + perStep * float(bumps.offset[t]);
+            const float above = r.rise + perStep * float(bumps.offset[t]);
             const Vec s = hn::Mul(hn::Set(kF, above), inverse);
             const Vec u =
-                hn::MulAdd(r.du, s, hn::Set(kF, u0 - float(t % BumpPlane::kSide)));
+                hn::MulAdd(r.du, s, hn::Set(kF, r.u - float(t % BumpPlane::kSide)));
             const Vec v =
-                hn::MulAdd(r.dv, s, hn::Set(kF, v0 - float(t / BumpPlane::kSide)));
+                hn::MulAdd(r.dv, s, hn::Set(kF, r.v - float(t / BumpPlane::kSide)));
             auto inside = hn::And(hn::Gt(s, r.begin), hn::Le(s, one));
             inside = hn::And(inside, hn::And(hn::Ge(u, none), hn::Lt(u, one)));
             inside = hn::And(inside, hn::And(hn::Ge(v, none), hn::Lt(v, one)));
@@ -510,32 +575,43 @@ class Traversal {
         return bitsOf(hit) & r.open;
     }
 
-    static VecI rowsAt(const CoverPlane& cover, VecI y) {
+    /// Of 16 rows.
+    static VecI rowsAt(const std::uint16_t* cover, VecI y) {
         if constexpr (kN == kLanes) {
             const hn::Rebind<std::uint16_t, Ints> halves;
-            const VecI rows = hn::PromoteTo(kI, hn::LoadU(halves, cover.row));
+            const VecI rows = hn::PromoteTo(kI, hn::LoadU(halves, cover));
             return hn::TableLookupLanes(rows, hn::IndicesFromVec(kI, y));
         } else {
             alignas(64) std::int32_t at[kN];
             hn::Store(y, kI, at);
             for (std::int32_t& row : at)
-                row = cover.row[row];
+                row = cover[row];
             return hn::Load(kI, at);
         }
     }
 
-    /// Rays whose threshold lies below the share of the texel that they cross.
-    static std::uint32_t sharesAbove(const Seen& p, const Batch& r, VecI y, VecI bit) {
+    /// Rays whose threshold lies within the share of the texel that they cross. A ray has
+    /// one threshold for all patches that share a texel, others for other texels.
+    static std::uint32_t sharesAbove(const Seen& p, const Batch& r, VecI x, VecI y,
+                                     VecI bit) {
+        const auto covered = [&](int plane) {
+            return hn::Ne(hn::And(rowsAt(p.cover + plane * p.rows, y), bit),
+                          hn::Zero(kI));
+        };
         VecI share = hn::Zero(kI);
-        for (int plane = 0; plane < 4; ++plane) {
-            const auto covered =
-                hn::Ne(hn::And(rowsAt(p.cover[plane], y), bit), hn::Zero(kI));
-            share = hn::Add(share, hn::IfThenElseZero(covered, hn::Set(kI, 1 << plane)));
-        }
+        for (int plane = 0; plane < 4; ++plane)
+            share = hn::Add(share,
+                            hn::IfThenElseZero(covered(plane), hn::Set(kI, 1 << plane)));
+        const VecI row = hn::Add(y, hn::Set(kI, p.row));
+        const VecI texel = hn::Add(hn::ShiftLeft<4>(row), x);
+        const VecI mixed = hn::Mul(hn::Add(texel, hn::Set(kI, std::int32_t(p.tile))),
+                                   hn::Set(kI, std::int32_t(0x9e3779b1u)));
         const hn::Rebind<std::uint8_t, Ints> bytes;
-        const VecI threshold = hn::Xor(hn::PromoteTo(kI, hn::LoadU(bytes, r.threshold)),
-                                       hn::Set(kI, std::int32_t(p.number)));
-        const auto full = hn::Eq(share, hn::Set(kI, 15));
+        const VecI fifteen = hn::Set(kI, 15);
+        VecI threshold = hn::Xor(hn::PromoteTo(kI, hn::LoadU(bytes, r.threshold)),
+                                 hn::And(hn::ShiftRight<28>(mixed), fifteen));
+        threshold = hn::Xor(threshold, hn::IfThenElseZero(covered(4), fifteen));
+        const auto full = hn::Eq(share, fifteen);
         return bitsOf(hn::Or(full, hn::Lt(threshold, share)));
     }
 
@@ -562,7 +638,7 @@ class Glance {
 
     bool run() {
         enterTiles(tree_, hull_, false, firstLevel(),
-                   [&](const PatchTree::Entry& tile) { push(tile.group, tile.groups); });
+                   [&](const PatchList& tile) { push(tile); });
         for (int looks = 0; waiting_ > 0; ++looks) {
             if (full_ || looks == kMostLooks || look()) return true;
         }
@@ -581,13 +657,13 @@ class Glance {
         return level;
     }
 
-    void push(std::uint32_t group, std::uint32_t groups) {
-        for (std::uint32_t i = 0; i < groups; ++i) {
+    void push(const PatchList& list) {
+        for (std::uint32_t i = 0; i < list.groups; ++i) {
             if (waiting_ == kSize) {
                 full_ = true;
                 return;
             }
-            stack_[waiting_++] = group + i;
+            stack_[waiting_++] = {list.group + i, 1, list.slotsOf(i)};
         }
     }
 
@@ -598,8 +674,9 @@ class Glance {
         for (int i = 0; i < 4; ++i) {
             groups[i] = tree_.groups();  // any one, if there is none to look at
             if (waiting_ > 0) {
-                groups[i] += stack_[--waiting_];
-                met |= 15u << (4 * i);
+                const PatchList& one = stack_[--waiting_];
+                groups[i] += one.group;
+                met |= std::uint32_t(one.slots) << (4 * i);
             }
         }
         std::uint32_t reached = 0;
@@ -608,7 +685,7 @@ class Glance {
         for (met &= reached; met; met &= met - 1) {
             const int i = std::countr_zero(met);
             if (isFine(groups[i / 4]->patch(i % 4))) return true;
-            push(groups[i / 4]->children[i % 4], groups[i / 4]->childGroups[i % 4]);
+            push(groups[i / 4]->childrenOf(i % 4));
         }
         return false;
     }
@@ -621,15 +698,14 @@ class Glance {
             hull_.uHigh - hull_.uLow + most * (hull_.slopeHighU - hull_.slopeLowU);
         const float v =
             hull_.vHigh - hull_.vLow + most * (hull_.slopeHighV - hull_.slopeLowV);
-        return p.childGroups == 0 ||
-               p.texel <= hull_.spread * kTexel * (p.low - hull_.wLow) ||
+        return p.isLeaf() || p.texel <= hull_.spread * kTexel * (p.low - hull_.wLow) ||
                std::max(p.halfU, p.halfV) <= std::max(u, v);
     }
 
     static constexpr int kMostLooks = 16, kSize = 128;
     const PatchTree& tree_;
     const RayHull& hull_;
-    std::uint32_t stack_[kSize];
+    PatchList stack_[kSize];  // of one group each
     int waiting_ = 0;
     bool full_ = false;
 };
