@@ -17,6 +17,11 @@ constexpr double kFineReach = 255.0;         // of chunks of items up to kFineSi
 constexpr double kFineSize = 64.0;
 constexpr double kCoarseReach = 2047.0;
 constexpr std::size_t kPerTask = 4096;
+constexpr std::size_t kChunksPerTask = kPerTask / NearChunk::kTriangles;
+
+std::size_t tasksFor(std::size_t chunks) {
+    return (chunks + kChunksPerTask - 1) / kChunksPerTask;
+}
 
 // What makes a chunk of triangles and of segments differ: their points, [u, v, w] each.
 using Triangle = NearTriangle;
@@ -274,28 +279,47 @@ NearHairChunk chunkOf(const Run<Segment>& segments, const Footprints& footprints
     return chunk;
 }
 
-/// `places`, if not null: which item each place of the chunks holds.
-template <typename Chunk, typename Item>
-std::vector<Chunk> pack(const std::vector<Item>& items, const Projection& projection,
-                        std::vector<std::uint32_t>* places = nullptr) {
+/// Calls make(task, i, run, footprints) for the i-th chunk's items, kChunksPerTask of
+/// them in each task in their order, tasks in parallel. Before that, begin(chunks).
+template <typename Item, typename Begin, typename Make>
+void pack(const std::vector<Item>& items, const Projection& projection,
+          const Begin& begin, const Make& make) {
     const Footprints footprints(projection);
     const std::vector<Entry> order = sorted(items, footprints);
     const std::vector<std::size_t> begins = cut(items, order, footprints);
-    std::vector<Chunk> chunks(begins.size() - 1);
+    const std::size_t chunks = begins.size() - 1;
+    begin(chunks);
+    base::parallelFor(std::size_t(0), tasksFor(chunks), [&](std::size_t task) {
+        const std::size_t first = task * kChunksPerTask;
+        const std::size_t last = std::min(first + kChunksPerTask, chunks);
+        for (std::size_t i = first; i < last; ++i)
+            make(task, i,
+                 Run<Item>{items, order.data() + begins[i], begins[i + 1] - begins[i]},
+                 footprints);
+    });
+}
+
+/// `places`, if not null: which triangle each place of the chunks holds.
+NearField packTriangles(const std::vector<Triangle>& triangles,
+                        const Projection& projection,
+                        std::vector<std::uint32_t>* places) {
     constexpr std::size_t kPlaces = NearChunk::kTriangles;
-    if (places) places->resize(kPlaces * chunks.size());
-    base::parallelRanges(std::size_t(0), chunks.size(), kPerTask / 16,
-                         [&](auto first, auto last) {
-                             for (std::size_t i = first; i < last; ++i) {
-                                 const Run<Item> run{items, order.data() + begins[i],
-                                                     begins[i + 1] - begins[i]};
-                                 chunks[i] = chunkOf(run, footprints);
-                                 for (std::size_t k = 0; places && k < kPlaces; ++k)
-                                     (*places)[kPlaces * i + k] =
-                                         run.entries[std::min(k, run.count - 1)].item;
-                             }
-                         });
-    return chunks;
+    std::vector<NearChunks> tasks;
+    pack(
+        triangles, projection,
+        [&](std::size_t chunks) {
+            tasks.resize(tasksFor(chunks));
+            if (places) places->resize(kPlaces * chunks);
+        },
+        [&](std::size_t task, std::size_t i, const Run<Triangle>& run,
+            const Footprints& footprints) {
+            tasks[task].push_back(chunkOf(run, footprints));
+            for (std::size_t k = 0; places && k < kPlaces; ++k)
+                (*places)[kPlaces * i + k] = run.entries[std::min(k, run.count - 1)].item;
+        });
+    NearField field;
+    field.chunks.append(tasks.data(), tasks.size());
+    return field;
 }
 
 }  // namespace
@@ -303,21 +327,22 @@ std::vector<Chunk> pack(const std::vector<Item>& items, const Projection& projec
 NearPacking packTriangles(const std::vector<NearTriangle>& triangles,
                           const Projection& projection) {
     NearPacking packing;
-    packing.field.chunks = pack<NearChunk>(triangles, projection, &packing.triangle);
+    packing.field = packTriangles(triangles, projection, &packing.triangle);
     return packing;
 }
 
 NearField packNear(const std::vector<NearTriangle>& triangles,
                    const Projection& projection) {
-    NearField field;
-    field.chunks = pack<NearChunk>(triangles, projection);
-    return field;
+    return packTriangles(triangles, projection, nullptr);
 }
 
 NearHair packNear(const std::vector<NearSegment>& segments,
                   const Projection& projection) {
     NearHair hair;
-    hair.chunks = pack<NearHairChunk>(segments, projection);
+    pack(
+        segments, projection, [&](std::size_t chunks) { hair.chunks.resize(chunks); },
+        [&](std::size_t, std::size_t i, const Run<Segment>& run,
+            const Footprints& footprints) { hair.chunks[i] = chunkOf(run, footprints); });
     return hair;
 }
 

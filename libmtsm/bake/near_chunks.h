@@ -22,6 +22,10 @@
 
 namespace mtsm::bake_detail {
 
+/// Different corners of a chunk of 16 triangles: hardly any has fewer; a closed mesh's
+/// chunks commonly have so many; those of cards of two triangles.
+inline constexpr int kFewestPoints = 10, kMeshPoints = 20, kCardPoints = 32;
+
 /// Chunks, and which triangle each place in them holds: [chunks][16].
 struct NearPacking {
     NearField field;

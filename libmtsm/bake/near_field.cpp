@@ -11,13 +11,16 @@ namespace {
 
 constexpr std::uint64_t kOfChunk = NearChunk::kTriangles;
 constexpr std::uint64_t kMega = 1u << 20;
+/// A triangle, its place in the order, and its part of a chunk, twice for a moment.
+constexpr std::uint64_t kWorkOfTriangle = sizeof(NearTriangle) + 16 + 2 * 20;
 
 /// About, of as many triangles and segments: some chunks have room left.
 std::uint64_t bytesOf(std::uint64_t triangles, std::uint64_t segments) {
     const auto chunks = [](std::uint64_t items) {
         return (items + items / 16 + kOfChunk - 1) / kOfChunk;
     };
-    return nearFieldBytes(chunks(triangles)) + nearHairBytes(chunks(segments));
+    return nearFieldBytes(chunks(triangles), kMeshPoints) +
+           nearHairBytes(chunks(segments));
 }
 
 }  // namespace
@@ -25,8 +28,8 @@ std::uint64_t bytesOf(std::uint64_t triangles, std::uint64_t segments) {
 std::string nearFieldTooSmall(std::uint64_t needed, const BakeOptions& options,
                               std::uint64_t budget) {
     const std::uint64_t size = (needed + kMega - 1) / kMega;
-    if (budget < options.nearField)
-        return base::concat("it takes about ", size, "M, more than a quarter of the ",
+    if (needed <= budget || budget < options.nearField)
+        return base::concat("it takes about ", size, "M, and making it more than the ",
                             options.maxBytes, " bytes of --max-memory that layers leave");
     return base::concat("it takes about ", size, "M: --near-field ", size,
                         "M would hold it");
@@ -41,10 +44,14 @@ struct Found {
     bool others = false;  ///< casters that a near field has no place for
 };
 
-/// Of triangles and of segments no more than what would fit if they were alone.
+/// Of triangles and of segments no more than what would fit if they were alone, and of
+/// triangles no more than can be packed with so many bytes.
 Result<Found> collect(Visits& visits, const Projection& projection,
-                      const BakeOptions& options, std::uint64_t bytes) {
-    const std::uint64_t mostTriangles = bytes / sizeof(NearChunk) * kOfChunk;
+                      const BakeOptions& options, std::uint64_t bytes,
+                      std::uint64_t bytesLeft) {
+    const std::uint64_t mostTriangles =
+        std::min(bytes / NearChunks::memoryBytes(1, kFewestPoints) * kOfChunk,
+                 bytesLeft / kWorkOfTriangle);
     const std::uint64_t mostSegments = bytes / sizeof(NearHairChunk) * kOfChunk;
     const glm::dvec2 window(options.width, options.height);
     Found found;
@@ -81,7 +88,7 @@ Status bakeNearField(Visits& visits, const BakeOptions& options, const CasterKin
     for (std::size_t i = 0; i < faces.size() && !others; ++i) {
         MapFace& face = faces[i];
         const std::uint64_t left = budget - std::min(budget, bytes);
-        const auto found = collect(visits, face.projection, options, left);
+        const auto found = collect(visits, face.projection, options, left, bytesLeft);
         if (!found) return found.error();
         others = found->others;
         report.nearTriangles += found->triangles.count;
@@ -91,8 +98,7 @@ Status bakeNearField(Visits& visits, const BakeOptions& options, const CasterKin
         if (counted || others) continue;
         face.nearField = packNear(found->triangles.items, face.projection);
         face.nearHair = packNear(found->segments.items, face.projection);
-        bytes += nearFieldBytes(face.nearField.chunks.size()) +
-                 nearHairBytes(face.nearHair.chunks.size());
+        bytes += memoryBytes(face.nearField) + nearHairBytes(face.nearHair.chunks.size());
     }
     if (others) {
         report.nearTriangles = report.nearSegments = 0;
@@ -102,7 +108,7 @@ Status bakeNearField(Visits& visits, const BakeOptions& options, const CasterKin
     } else {
         report.nearBytes =
             counted ? bytesOf(report.nearTriangles, report.nearSegments) : bytes;
-        if (report.nearBytes > budget)
+        if (counted || report.nearBytes > budget)
             report.noNearField = nearFieldTooSmall(report.nearBytes, options, budget);
     }
     if (!report.noNearField.empty()) {

@@ -22,6 +22,10 @@ constexpr std::size_t kPerTask = 1024;
 constexpr double kFinestStep = 0x1p-16;  // of texture coordinates
 
 using Coordinates = std::array<glm::dvec2, 3>;  // of a triangle's corners
+/// A triangle, its coordinates, its place in the order, and its part of a chunk, the
+/// points twice for a moment.
+constexpr std::uint64_t kWorkOfTriangle =
+    sizeof(NearTriangle) + sizeof(Coordinates) + 4 + 16 + 34 + 20;
 
 /// All triangles with one texture.
 struct Sheets {
@@ -237,20 +241,19 @@ NearSheets pack(const std::vector<Sheets>& sheets, const Projection& projection)
     NearSheets near;
     for (const Sheets& part : sheets) {
         if (part.triangles.empty()) continue;
-        const NearPacking packing = packTriangles(part.triangles, projection);
-        const std::vector<NearChunk>& chunks = packing.field.chunks;
-        const std::size_t first = near.chunks.size();
+        NearPacking packing = packTriangles(part.triangles, projection);
+        const std::size_t chunks = packing.field.chunks.size();
         const auto texture = std::uint32_t(near.textures.size());
         near.textures.push_back(part.texture);
-        near.triangles.chunks.insert(near.triangles.chunks.end(), chunks.begin(),
-                                     chunks.end());
-        near.chunks.resize(first + chunks.size());
-        base::parallelRanges(
-            std::size_t(0), chunks.size(), kPerTask, [&](auto begin, auto end) {
-                for (std::size_t i = begin; i < end; ++i)
-                    near.chunks[first + i] =
-                        chunkOf(texture, part, packing.triangle.data() + kTriangles * i);
-            });
+        near.triangles.chunks.append(&packing.field.chunks, 1);
+        std::vector<NearSheetChunks> tasks((chunks + kPerTask - 1) / kPerTask);
+        base::parallelFor(std::size_t(0), tasks.size(), [&](std::size_t task) {
+            const std::size_t end = std::min((task + 1) * kPerTask, chunks);
+            for (std::size_t i = task * kPerTask; i < end; ++i)
+                tasks[task].push_back(
+                    chunkOf(texture, part, packing.triangle.data() + kTriangles * i));
+        });
+        near.chunks.append(tasks.data(), tasks.size());
     }
     return near;
 }
@@ -267,8 +270,11 @@ Status bakeNearSheets(Visits& visits, const BakeOptions& options, std::uint64_t 
     }
     const WorkClock clock(visits);
     const std::uint64_t budget = std::min(options.nearField, bytesLeft / 4);
-    const std::uint64_t most =
-        budget / (sizeof(NearChunk) + sizeof(NearSheetChunk)) * kTriangles;
+    const std::uint64_t most = std::min(budget /
+                                            (NearChunks::memoryBytes(1, kFewestPoints) +
+                                             NearSheetChunks::memoryBytes(1, 1)) *
+                                            kTriangles,
+                                        bytesLeft / kWorkOfTriangle);
     Collection found(faces[0].projection, options, most);
     const Status status = visits.each(meshesOnly([&](const MeshView& mesh) -> Status {
         if (auto s = visits.progress()("collecting the near field", -1.0); !s) return s;
@@ -283,12 +289,13 @@ Status bakeNearSheets(Visits& visits, const BakeOptions& options, std::uint64_t 
         // Chunks were not made: about one slot in 16 of them stays unused.
         const std::uint64_t slots = found.triangles + found.triangles / 16;
         report.nearBytes =
-            nearSheetBytes((slots + kTriangles - 1) / kTriangles) + found.textureBytes;
+            nearSheetBytes((slots + kTriangles - 1) / kTriangles, kCardPoints) +
+            found.textureBytes;
     } else {
         faces[0].nearSheets = pack(found.sheets, faces[0].projection);
         report.nearBytes = memoryBytes(faces[0].nearSheets);
     }
-    if (report.nearBytes > budget) {
+    if (found.triangles > most || report.nearBytes > budget) {
         report.noNearField = nearFieldTooSmall(report.nearBytes, options, budget);
         faces[0].nearSheets = {};
     }

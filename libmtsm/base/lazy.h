@@ -36,6 +36,20 @@ class Lazy {
         return *static_cast<const T*>(held_.get());
     }
 
+    /// What is held, null as long as that is nothing.
+    template <typename T>
+    const T* find() const {
+        const bool made = made_.load(std::memory_order_acquire);
+        return made ? static_cast<const T*>(held_.get()) : nullptr;
+    }
+
+    /// Of a new one: holds what the other does, if that is something.
+    void share(const Lazy& other) {
+        if (!other.made_.load(std::memory_order_acquire)) return;
+        held_ = other.held_;
+        made_.store(true, std::memory_order_release);
+    }
+
   private:
     std::mutex mutex_;
     std::atomic<bool> made_{false};

@@ -12,21 +12,24 @@ constexpr std::size_t kWords = 6, kCoordinates = 6 * NearChunk::kTriangles;  // 
 
 /// Byte j of a chunk's words lies in plane j, word by word; of its coordinates likewise.
 struct CoordinateParts {
-    using Chunk = NearSheetChunk;
+    using Chunks = NearSheetChunks;
+    static constexpr bool kInPlace = false;
     static constexpr std::uint64_t kMostPoints = 0;
 
     static std::uint64_t memoryBytes(std::uint64_t chunks) {
-        return chunks * sizeof(NearSheetChunk);
+        // Twice: by part, and all together.
+        return 2 * NearSheetChunks::memoryBytes(chunks, NearChunks::kCorners);
     }
     static bool checkPoints(std::uint64_t points, std::uint64_t) { return points == 0; }
     static std::uint64_t contentBytes(std::uint64_t chunks, std::uint64_t) {
         return (4 * kWords + 2 * kCoordinates) * chunks;
     }
-    static Bytes contentOf(const Chunk* chunks, std::size_t count, std::uint32_t&) {
+    static Bytes contentOf(const Chunks& chunks, std::size_t first, std::size_t count,
+                           std::uint32_t&) {
         Bytes content(contentBytes(count, 0));
         std::uint8_t* const rest = content.data() + 4 * kWords * count;
         for (std::size_t i = 0; i < count; ++i) {
-            const Chunk& c = chunks[i];
+            const NearSheetChunk c = chunks[first + i];
             const std::uint32_t words[kWords] = {c.texture,
                                                  c.triangles,
                                                  std::bit_cast<std::uint32_t>(c.low[0]),
@@ -48,10 +51,10 @@ struct CoordinateParts {
         return content;
     }
     static Status decode(BytesView content, std::size_t count, std::uint32_t,
-                         Chunk* chunks) {
+                         Chunks& chunks, std::size_t) {
         const std::uint8_t* const rest = content.data() + 4 * kWords * count;
         for (std::size_t i = 0; i < count; ++i) {
-            Chunk& c = chunks[i];
+            NearSheetChunk c;
             std::uint32_t words[kWords] = {};
             for (std::size_t k = 0; k < kWords; ++k) {
                 for (std::size_t j = 0; j < 4; ++j)
@@ -67,6 +70,7 @@ struct CoordinateParts {
             for (std::size_t k = 0; k < kCoordinates; ++k)
                 uv[k] = std::uint16_t(rest[i * kCoordinates + k] |
                                       rest[(count + i) * kCoordinates + k] << 8);
+            chunks.push_back(c);
         }
         return {};
     }
@@ -184,7 +188,7 @@ Status decodeSheets(BytesView payload, std::uint64_t most, std::vector<MapFace>&
     if (auto s = decodeTriangles(triangles, most, {&sheets.triangles.chunks}); !s)
         return s;
     const std::size_t chunks = sheets.triangles.chunks.size();
-    most -= std::min(most, nearFieldBytes(chunks));
+    most -= std::min(most, memoryBytes(sheets.triangles));
     if (auto s =
             decodeParts<CoordinateParts>(in.bytes(in.left()), most, {&sheets.chunks});
         !s)

@@ -97,14 +97,14 @@ void describeNearField(const ShadowMap& map, Description& d) {
         const NearField& field = map.nearField(face);
         d.nearTriangles += field.triangles();
         d.nearChunks += field.chunks.size();
-        d.nearBytes += nearFieldBytes(field.chunks.size());
+        d.nearBytes += mtsm::memoryBytes(field);
         const NearHair& hair = map.nearHair(face);
         d.nearSegments += hair.segments();
         d.nearChunks += hair.chunks.size();
         d.nearBytes += nearHairBytes(hair.chunks.size());
         const NearSheets& sheets = map.nearSheets(face);
-        for (const NearSheetChunk& chunk : sheets.chunks)
-            d.nearTriangles += chunk.triangles;
+        for (std::size_t i = 0; i < sheets.chunks.size(); ++i)
+            d.nearTriangles += sheets.chunks.place(i).triangles;
         d.nearTextures += sheets.textures.size();
         d.nearChunks += sheets.chunks.size();
         d.nearBytes += mtsm::memoryBytes(sheets);

@@ -104,7 +104,8 @@ void take(const HairLayout<const std::uint8_t>& from, std::size_t i,
 }
 
 struct HairParts {
-    using Chunk = NearHairChunk;
+    using Chunks = std::vector<NearHairChunk>;
+    static constexpr bool kInPlace = true;
     static constexpr std::uint64_t kMostPoints = 0;
     static std::uint64_t memoryBytes(std::uint64_t chunks) {
         return nearHairBytes(chunks);
@@ -113,18 +114,19 @@ struct HairParts {
     static std::uint64_t contentBytes(std::uint64_t chunks, std::uint64_t) {
         return kChunkBytes * chunks;
     }
-    static Bytes contentOf(const Chunk* chunks, std::size_t count,
+    static Bytes contentOf(const Chunks& chunks, std::size_t first, std::size_t count,
                            std::uint32_t& points) {
         points = 0;
         Bytes content(kChunkBytes * count);
         for (std::size_t i = 0; i < count; ++i)
-            put(chunks[i], i, HairLayout<std::uint8_t>{content.data(), count});
+            put(chunks[first + i], i, HairLayout<std::uint8_t>{content.data(), count});
         return content;
     }
     static Status decode(BytesView content, std::size_t count, std::uint32_t,
-                         Chunk* chunks) {
+                         Chunks& chunks, std::size_t first) {
         for (std::size_t i = 0; i < count; ++i)
-            take(HairLayout<const std::uint8_t>{content.data(), count}, i, chunks[i]);
+            take(HairLayout<const std::uint8_t>{content.data(), count}, i,
+                 chunks[first + i]);
         return {};
     }
 };

@@ -17,7 +17,7 @@ std::uint64_t contentBytes(std::uint64_t chunks, std::uint64_t points) {
     return kChunkBytes * chunks + kPointBytes * points;
 }
 
-using Point = std::array<std::uint16_t, 3>;  // u, v, w on the chunk's grid
+using Point = NearChunks::Point;
 
 Point pointOf(const NearChunk& chunk, std::size_t corner) {
     const auto& c = chunk.corner[corner % 3];
@@ -64,12 +64,13 @@ struct PartLayout {
     }
 };
 
-Bytes contentOf(const NearChunk* chunks, std::size_t count, std::uint32_t& points) {
+Bytes contentOf(const NearChunks& chunks, std::size_t first, std::size_t count,
+                std::uint32_t& points) {
     std::vector<Points> all;
     all.reserve(count);
     points = 0;
     for (std::size_t i = 0; i < count; ++i) {
-        all.emplace_back(chunks[i]);
+        all.emplace_back(chunks[first + i]);
         points += std::uint32_t(all.back().count);
     }
     Bytes content(contentBytes(count, points));
@@ -77,8 +78,9 @@ Bytes contentOf(const NearChunk* chunks, std::size_t count, std::uint32_t& point
     std::size_t at = 0;
     for (std::size_t i = 0; i < count; ++i) {
         for (std::size_t f = 0; f < kFloats; ++f) {
-            const auto bits = std::bit_cast<std::uint32_t>(f < 3 ? chunks[i].low[f]
-                                                                 : chunks[i].step[f - 3]);
+            const NearChunks::Place& place = chunks.place(first + i);
+            const auto bits =
+                std::bit_cast<std::uint32_t>(f < 3 ? place.low[f] : place.step[f - 3]);
             for (std::size_t j = 0; j < 4; ++j)
                 to.atFloat(j, f, i) = std::uint8_t(bits >> (8 * j));
         }
@@ -98,47 +100,50 @@ Bytes contentOf(const NearChunk* chunks, std::size_t count, std::uint32_t& point
 }
 
 /// Undoes contentOf(). Errors: a corner names a point that is not there.
-Status decodeContent(const PartLayout<const std::uint8_t>& from, NearChunk* chunks) {
+Status decodeContent(const PartLayout<const std::uint8_t>& from, NearChunks& chunks) {
+    chunks.reserve(from.chunks, from.points);
     std::size_t at = 0;
     for (std::size_t i = 0; i < from.chunks; ++i) {
-        NearChunk& chunk = chunks[i];
+        float low[3], step[3];
         for (std::size_t f = 0; f < kFloats; ++f) {
             std::uint32_t bits = 0;
             for (std::size_t j = 0; j < 4; ++j)
                 bits |= std::uint32_t(from.atFloat(j, f, i)) << (8 * j);
-            (f < 3 ? chunk.low[f] : chunk.step[f - 3]) = std::bit_cast<float>(bits);
+            (f < 3 ? low[f] : step[f - 3]) = std::bit_cast<float>(bits);
         }
         std::array<Point, kCorners> point;
+        std::array<std::uint8_t, kCorners> number;
         std::size_t count = 0;
         for (std::size_t corner = 0; corner < kCorners; ++corner) {
             const std::size_t ago = from.atCorners(i)[corner];
             if (ago > count || (ago == 0 && at == from.points))
                 return bad("chunk ", i, ": corner ", corner, " is a point ", ago,
                            " before, of ", count);
-            if (ago == 0) {
-                Point p = count > 0 ? point[count - 1] : Point{};
-                for (std::size_t axis = 0; axis < 3; ++axis) {
-                    const auto r = std::uint16_t(from.atPoint(0, axis, at) |
-                                                 from.atPoint(1, axis, at) << 8);
-                    p[axis] = std::uint16_t(p[axis] + unzigzag16(r));
-                }
-                point[count++] = p;
-                ++at;
+            number[corner] = std::uint8_t(count - ago);
+            if (ago > 0) continue;
+            Point p = count > 0 ? point[count - 1] : Point{};
+            for (std::size_t axis = 0; axis < 3; ++axis) {
+                const auto r = std::uint16_t(from.atPoint(0, axis, at) |
+                                             from.atPoint(1, axis, at) << 8);
+                p[axis] = std::uint16_t(p[axis] + unzigzag16(r));
             }
-            const Point& p = point[count - (ago == 0 ? 1 : ago)];
-            for (std::size_t axis = 0; axis < 3; ++axis)
-                chunk.corner[corner % 3][axis][corner / 3] = p[axis];
+            point[count++] = p;
+            ++at;
         }
+        chunks.push_back(low, step, point.data(), count, number.data());
     }
     if (at != from.points) return bad(from.points - at, " points that no corner names");
     return {};
 }
 
 struct TriangleParts {
-    using Chunk = NearChunk;
+    using Chunks = NearChunks;
+    static constexpr bool kInPlace = false;
     static constexpr std::uint64_t kMostPoints = kCorners;  // of a chunk
+    /// Twice: by part, and all together.
     static std::uint64_t memoryBytes(std::uint64_t chunks) {
-        return nearFieldBytes(chunks);
+        return nearFieldBytes(chunks, kCorners) +
+               NearChunks::memoryBytes(chunks, kCorners);
     }
     static bool checkPoints(std::uint64_t points, std::uint64_t chunks) {
         return points >= chunks && points <= kMostPoints * chunks;
@@ -146,12 +151,12 @@ struct TriangleParts {
     static std::uint64_t contentBytes(std::uint64_t chunks, std::uint64_t points) {
         return format::contentBytes(chunks, points);
     }
-    static Bytes contentOf(const Chunk* chunks, std::size_t count,
+    static Bytes contentOf(const Chunks& chunks, std::size_t first, std::size_t count,
                            std::uint32_t& points) {
-        return format::contentOf(chunks, count, points);
+        return format::contentOf(chunks, first, count, points);
     }
     static Status decode(BytesView content, std::size_t count, std::uint32_t points,
-                         Chunk* chunks) {
+                         Chunks& chunks, std::size_t) {
         return decodeContent(
             PartLayout<const std::uint8_t>{content.data(), count, points}, chunks);
     }
@@ -166,25 +171,25 @@ bool hasNearField(const ShadowMap& map) noexcept {
     return false;
 }
 
-Bytes encodeTriangles(const std::vector<const std::vector<NearChunk>*>& faces,
-                      Codec codec, int level) {
+Bytes encodeTriangles(const std::vector<const NearChunks*>& faces, Codec codec,
+                      int level) {
     return encodeParts<TriangleParts>(faces, codec, level);
 }
 
 Status decodeTriangles(BytesView payload, std::uint64_t most,
-                       const std::vector<std::vector<NearChunk>*>& faces) {
+                       const std::vector<NearChunks*>& faces) {
     return decodeParts<TriangleParts>(payload, most, faces);
 }
 
 Bytes encodeNear(const ShadowMap& map, Codec codec, int level) {
-    std::vector<const std::vector<NearChunk>*> faces;
+    std::vector<const NearChunks*> faces;
     for (std::uint32_t face = 0; face < map.faceCount(); ++face)
         faces.push_back(&map.nearField(face).chunks);
     return encodeTriangles(faces, codec, level);
 }
 
 Status decodeNear(BytesView payload, std::uint64_t most, std::vector<MapFace>& faces) {
-    std::vector<std::vector<NearChunk>*> chunks;
+    std::vector<NearChunks*> chunks;
     for (MapFace& face : faces)
         chunks.push_back(&face.nearField.chunks);
     return decodeTriangles(payload, most, chunks);

@@ -19,9 +19,9 @@ namespace mtsm::format {
 Status decodeNear(BytesView payload, std::uint64_t most, std::vector<MapFace>& faces);
 
 /// The payload alone: `faces` are the chunks of each.
-[[nodiscard]] Bytes encodeTriangles(
-    const std::vector<const std::vector<NearChunk>*>& faces, Codec codec, int level);
+[[nodiscard]] Bytes encodeTriangles(const std::vector<const NearChunks*>& faces,
+                                    Codec codec, int level);
 Status decodeTriangles(BytesView payload, std::uint64_t most,
-                       const std::vector<std::vector<NearChunk>*>& faces);
+                       const std::vector<NearChunks*>& faces);
 
 }  // namespace mtsm::format

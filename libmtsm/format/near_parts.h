@@ -2,13 +2,15 @@
 // how many there are, and parts of them, each compressed alone.
 //
 // `Kind` says what the chunks are:
-//   Chunk                              one of them
+//   Chunks                             many of them
+//   kInPlace                           they are a vector: decode() fills in elements
 //   kMostPoints                        what NearPart::points may be for one
-//   memoryBytes(chunks)                that they take, boxes included
+//   memoryBytes(chunks)                that they may take, boxes and work included
 //   checkPoints(points, chunks)        may a part say so?
 //   contentBytes(chunks, points)       of a part, before its compression
-//   contentOf(chunks, count, points)   writes it, and says how many points there are
-//   decode(content, count, points, chunks)
+//   contentOf(chunks, first, count, points)
+//                                      writes it, and says how many points there are
+//   decode(content, count, points, chunks, first)
 #pragma once
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/task_arena.h>
@@ -31,7 +33,7 @@
 
 namespace mtsm::format {
 
-inline constexpr std::uint32_t kPartChunks = 1024;  // 16384 triangles, 312 KiB
+inline constexpr std::uint32_t kPartChunks = 1024;  // 16384 triangles
 
 constexpr std::uint16_t zigzag16(std::uint16_t d) {
     return std::uint16_t(d << 1 ^ (d & 0x8000 ? 0xffff : 0));
@@ -89,8 +91,8 @@ inline StoredPart compressPart(Bytes content, std::uint32_t points, Codec codec,
 
 /// `faces`: the chunks of each.
 template <typename Kind>
-Bytes encodeParts(const std::vector<const std::vector<typename Kind::Chunk>*>& faces,
-                  Codec codec, int level) {
+Bytes encodeParts(const std::vector<const typename Kind::Chunks*>& faces, Codec codec,
+                  int level) {
     std::vector<std::uint64_t> chunks;
     for (const auto* face : faces)
         chunks.push_back(face->size());
@@ -99,7 +101,7 @@ Bytes encodeParts(const std::vector<const std::vector<typename Kind::Chunk>*>& f
     base::parallelFor(std::size_t(0), parts.size(), [&](std::size_t i) {
         const ChunkPart& p = parts[i];
         std::uint32_t points = 0;
-        Bytes content = Kind::contentOf(faces[p.face]->data() + p.first, p.count, points);
+        Bytes content = Kind::contentOf(*faces[p.face], p.first, p.count, points);
         stored[i] = compressPart(std::move(content), points, codec, level);
     });
     Bytes payload;
@@ -196,11 +198,16 @@ Result<PartIndex> decodePartIndex(BytesView payload, std::size_t faces,
 /// `faces`: where the chunks of each go.
 template <typename Kind>
 Status decodeParts(BytesView payload, std::uint64_t most,
-                   const std::vector<std::vector<typename Kind::Chunk>*>& faces) {
+                   const std::vector<typename Kind::Chunks*>& faces) {
     const Result<PartIndex> index = decodePartIndex<Kind>(payload, faces.size(), most);
     if (!index) return index.error();
-    for (std::size_t face = 0; face < faces.size(); ++face)
-        faces[face]->resize(index->chunks[face]);
+    std::vector<typename Kind::Chunks> ofPart;
+    if constexpr (Kind::kInPlace) {
+        for (std::size_t face = 0; face < faces.size(); ++face)
+            faces[face]->resize(index->chunks[face]);
+    } else {
+        ofPart.resize(index->parts.size());
+    }
     struct Worker {
         FrameDecoder frames;
         Bytes content;
@@ -217,14 +224,25 @@ Status decodeParts(BytesView payload, std::uint64_t most,
                 return s;
             content = worker.content;
         }
-        return Kind::decode(content, part.count, points,
-                            faces[part.face]->data() + part.first);
+        if constexpr (Kind::kInPlace)
+            return Kind::decode(content, part.count, points, *faces[part.face],
+                                part.first);
+        else
+            return Kind::decode(content, part.count, points, ofPart[i], 0);
     };
     base::parallelFor(std::size_t(0), index->parts.size(), [&](std::size_t i) {
         if (firstError.isBehind(i)) return;
         if (const Status s = decodePart(i, workers.local()); !s)
             firstError.add(i, bad("part ", i, ": ", s.error().message));
     });
+    if constexpr (!Kind::kInPlace) {
+        for (std::size_t i = 0; i < ofPart.size();) {
+            const std::size_t face = index->parts[i].face, first = i;
+            while (i < ofPart.size() && index->parts[i].face == face)
+                ++i;
+            faces[face]->append(ofPart.data() + first, i - first);
+        }
+    }
     return firstError.status();
 }
 

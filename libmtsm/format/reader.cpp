@@ -161,7 +161,7 @@ struct Frame {
     [[nodiscard]] std::uint64_t nearBytes() const {
         std::uint64_t bytes = 0;
         for (const MapFace& face : faces)
-            bytes += nearFieldBytes(face.nearField.chunks.size()) +
+            bytes += mtsm::memoryBytes(face.nearField) +
                      nearHairBytes(face.nearHair.chunks.size()) +
                      mtsm::memoryBytes(face.nearSheets);
         return bytes;

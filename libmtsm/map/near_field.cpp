@@ -28,15 +28,6 @@ std::uint64_t boxBytes(std::uint64_t chunks) {
     return nodes * sizeof(NearBoxes);
 }
 
-bool sameTriangle(const NearChunk& chunk, int a, int b) {
-    for (const auto& corner : chunk.corner) {
-        for (const auto& axis : corner) {
-            if (axis[a] != axis[b]) return false;
-        }
-    }
-    return true;
-}
-
 constexpr NearBoxes emptyBoxes() {
     constexpr float kNone = std::numeric_limits<float>::infinity();
     NearBoxes boxes{};
@@ -49,18 +40,19 @@ constexpr NearBoxes emptyBoxes() {
     return boxes;
 }
 
-/// Child i of `boxes` becomes the box of a chunk, no larger than its triangles.
-void setBox(NearBoxes& boxes, std::size_t i, const NearChunk& chunk) {
-    for (int axis = 0; axis < 3; ++axis) {
+/// Child i of `boxes` becomes the box of chunk k, no larger than its triangles.
+void setBox(NearBoxes& boxes, std::size_t i, const NearChunks& chunks, std::size_t k) {
+    const NearChunks::Place& place = chunks.place(k);
+    const std::size_t count = place.points;
+    const std::uint16_t* q = chunks.points(k);
+    for (int axis = 0; axis < 3; ++axis, q += count) {
         std::uint16_t least = 0xffff, most = 0;
-        for (const auto& corner : chunk.corner) {
-            for (const std::uint16_t q : corner[axis]) {
-                least = std::min(least, q);
-                most = std::max(most, q);
-            }
+        for (std::size_t point = 0; point < count; ++point) {
+            least = std::min(least, q[point]);
+            most = std::max(most, q[point]);
         }
-        boxes.low[axis][i] = chunk.low[axis] + chunk.step[axis] * float(least);
-        boxes.high[axis][i] = chunk.low[axis] + chunk.step[axis] * float(most);
+        boxes.low[axis][i] = place.low[axis] + place.step[axis] * float(least);
+        boxes.high[axis][i] = place.low[axis] + place.step[axis] * float(most);
     }
 }
 
@@ -69,8 +61,9 @@ constexpr float kHairReach = 4.0f;
 
 /// Of strands, as far as their ribbons may reach from their middle lines, and what lies
 /// within two widths of them: in any direction of the world.
-void setBox(NearBoxes& boxes, std::size_t i, const NearHairChunk& chunk,
-            const Projection& p) {
+void setBox(NearBoxes& boxes, std::size_t i, const std::vector<NearHairChunk>& chunks,
+            std::size_t k, const Projection& p) {
+    const NearHairChunk& chunk = chunks[k];
     const bool perspective = p.kind == ProjectionKind::perspective;
     float low[3], high[3];
     std::fill_n(low, 3, std::numeric_limits<float>::infinity());
@@ -102,7 +95,9 @@ void setBox(NearBoxes& boxes, std::size_t i, const NearHairChunk& chunk,
 }
 
 /// ... and the box around all children of a node.
-void setBox(NearBoxes& boxes, std::size_t i, const NearBoxes& below) {
+void setBox(NearBoxes& boxes, std::size_t i, const std::vector<NearBoxes>& children,
+            std::size_t k) {
+    const NearBoxes& below = children[k];
     for (int axis = 0; axis < 3; ++axis) {
         boxes.low[axis][i] =
             *std::min_element(below.low[axis], below.low[axis] + kChildren);
@@ -111,9 +106,8 @@ void setBox(NearBoxes& boxes, std::size_t i, const NearBoxes& below) {
     }
 }
 
-template <typename Child, typename... With>
-std::vector<NearBoxes> levelAbove(const std::vector<Child>& children,
-                                  const With&... with) {
+template <typename Children, typename... With>
+std::vector<NearBoxes> levelAbove(const Children& children, const With&... with) {
     std::vector<NearBoxes> level(nodesAbove(children.size()), emptyBoxes());
     base::parallelRanges(
         std::size_t(0), level.size(), kNodesPerTask, [&](auto first, auto last) {
@@ -121,7 +115,7 @@ std::vector<NearBoxes> levelAbove(const std::vector<Child>& children,
                 const std::size_t begin = node * kChildren;
                 const std::size_t end = std::min(begin + kChildren, children.size());
                 for (std::size_t i = begin; i < end; ++i)
-                    setBox(level[node], i - begin, children[i], with...);
+                    setBox(level[node], i - begin, children, i, with...);
             }
         });
     return level;
@@ -129,17 +123,10 @@ std::vector<NearBoxes> levelAbove(const std::vector<Child>& children,
 
 }  // namespace
 
-int NearChunk::triangles() const noexcept {
-    int count = kTriangles;
-    while (count > 1 && sameTriangle(*this, count - 2, kTriangles - 1))
-        --count;
-    return count;
-}
-
 std::uint64_t NearField::triangles() const noexcept {
     std::uint64_t count = 0;
-    for (const NearChunk& chunk : chunks)
-        count += std::uint64_t(chunk.triangles());
+    for (std::size_t i = 0; i < chunks.size(); ++i)
+        count += chunks.place(i).triangles;
     return count;
 }
 
@@ -154,8 +141,12 @@ std::uint64_t NearHair::segments() const noexcept {
     return count;
 }
 
-std::uint64_t nearFieldBytes(std::uint64_t chunks) noexcept {
-    return chunks * sizeof(NearChunk) + boxBytes(chunks);
+std::uint64_t memoryBytes(const NearField& field) noexcept {
+    return field.chunks.memoryBytes() + boxBytes(field.chunks.size());
+}
+
+std::uint64_t nearFieldBytes(std::uint64_t chunks, int points) noexcept {
+    return NearChunks::memoryBytes(chunks, points) + boxBytes(chunks);
 }
 
 std::uint64_t nearHairBytes(std::uint64_t chunks) noexcept {
@@ -189,20 +180,24 @@ void buildLevels(Field& field, const With&... with) {
         field.levels.push_back(levelAbove(field.levels.back()));
 }
 
-template <typename Chunk>
-bool same(const std::vector<Chunk>& a, const std::vector<Chunk>& b) {
-    return a.size() == b.size() &&
-           (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(Chunk)) == 0);
+template <typename Chunks>
+bool same(const Chunks& a, const Chunks& b) {
+    if (a.size() != b.size()) return false;
+    for (std::size_t i = 0; i < a.size(); ++i) {
+        const auto &x = a[i], &y = b[i];
+        if (std::memcmp(&x, &y, sizeof x) != 0) return false;
+    }
+    return true;
 }
 
 }  // namespace
 
 Status checkChunks(const MapFace& face, std::uint32_t number) {
     for (std::size_t i = 0; i < face.nearField.chunks.size(); ++i) {
-        if (auto s = checkGrid(face.nearField.chunks[i], i, number); !s) return s;
+        if (auto s = checkGrid(face.nearField.chunks.place(i), i, number); !s) return s;
     }
     for (std::size_t i = 0; i < face.nearSheets.triangles.chunks.size(); ++i) {
-        if (auto s = checkGrid(face.nearSheets.triangles.chunks[i], i, number); !s)
+        if (auto s = checkGrid(face.nearSheets.triangles.chunks.place(i), i, number); !s)
             return s;
     }
     const float most = face.projection.kind == ProjectionKind::perspective

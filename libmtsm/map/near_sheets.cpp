@@ -3,27 +3,102 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <utility>
 
 #include "base/message.h"
 #include "base/parallel.h"
 #include "map/near_boxes.h"
+#include "map/near_points.h"
 #include "map/sheet_checks.h"
 
 namespace mtsm {
 
-std::uint64_t nearSheetBytes(std::uint64_t chunks) noexcept {
-    return nearFieldBytes(chunks) + chunks * sizeof(NearSheetChunk);
+namespace {
+std::uint64_t texelsOf(std::uint32_t width, std::uint32_t height) {
+    return std::uint64_t(width) * height;
+}
+}  // namespace
+
+void NearSheetChunks::push_back(const NearSheetChunk& chunk) {
+    const map_detail::NearPoints<2> p(chunk.uv);
+    Place place = {};
+    place.texture = chunk.texture;
+    place.triangles = std::uint16_t(std::min(chunk.triangles, 0xffffu));
+    std::copy_n(chunk.low, 2, place.low);
+    std::copy_n(chunk.step, 2, place.step);
+    place.first = words_.size();
+    place.points =
+        std::uint16_t(map_detail::areShared(p.count) ? p.count : map_detail::kCorners);
+    places_.push_back(place);
+    if (p.count == 1) {
+        words_.insert(words_.end(), p.points[0].begin(), p.points[0].end());
+        return;
+    }
+    words_.resize(place.first + map_detail::wordsOf(2, p.count));
+    map_detail::writePoints(p.points, p.count, p.numbers, words_.data() + place.first);
+}
+
+void NearSheetChunks::append(NearSheetChunks* parts, std::size_t count) {
+    std::size_t chunks = places_.size(), words = words_.size();
+    for (std::size_t i = 0; i < count; ++i) {
+        chunks += parts[i].places_.size();
+        words += parts[i].words_.size();
+    }
+    places_.reserve(chunks);
+    words_.reserve(words);
+    for (std::size_t i = 0; i < count; ++i) {
+        const NearSheetChunks part = std::move(parts[i]);
+        parts[i] = {};
+        for (Place place : part.places_) {
+            place.first += words_.size();
+            places_.push_back(place);
+        }
+        words_.insert(words_.end(), part.words_.begin(), part.words_.end());
+    }
+}
+
+void NearSheetChunks::shrink_to_fit() {
+    places_.shrink_to_fit();
+    words_.shrink_to_fit();
+}
+
+NearSheetChunk NearSheetChunks::operator[](std::size_t i) const noexcept {
+    const Place& place = places_[i];
+    NearSheetChunk chunk;
+    chunk.texture = place.texture;
+    chunk.triangles = place.triangles;
+    std::copy_n(place.low, 2, chunk.low);
+    std::copy_n(place.step, 2, chunk.step);
+    for (int c = 0; c < 3; ++c) {
+        for (int t = 0; t < NearChunk::kTriangles; ++t) {
+            const auto at = uv(i, c, t);
+            chunk.uv[c][0][t] = at[0], chunk.uv[c][1][t] = at[1];
+        }
+    }
+    return chunk;
+}
+
+std::uint64_t NearSheetChunks::memoryBytes(std::uint64_t chunks, int points) noexcept {
+    const std::size_t words =
+        points > 1 ? map_detail::wordsOf(2, std::size_t(points)) : 2;
+    return chunks * (sizeof(Place) + words * sizeof(std::uint16_t));
+}
+
+std::uint64_t nearSheetBytes(std::uint64_t chunks, int points) noexcept {
+    return nearFieldBytes(chunks, points) + NearSheetChunks::memoryBytes(chunks, points);
 }
 
 std::uint64_t nearTextureBytes(std::uint32_t width, std::uint32_t height) noexcept {
     const std::uint64_t w = width, h = height;
-    return w * h + 4 * (w + 1) * (h + 1);
+    return texelsOf(width, height) + 4 * (w + 1) * (h + 1);
 }
 
 std::uint64_t memoryBytes(const NearSheets& sheets) noexcept {
-    std::uint64_t bytes = nearSheetBytes(sheets.chunks.size());
-    for (const NearTexture& texture : sheets.textures)
+    std::uint64_t bytes = memoryBytes(sheets.triangles) + sheets.chunks.memoryBytes();
+    for (const NearTexture& texture : sheets.textures) {
         bytes += nearTextureBytes(texture.width, texture.height);
+        if (texture.texels.empty()) bytes -= texelsOf(texture.width, texture.height);
+    }
     return bytes;
 }
 
@@ -63,7 +138,7 @@ Status checkTexture(const NearTexture& texture, std::size_t number, std::uint32_
     return {};
 }
 
-Status checkCoordinates(const NearSheetChunk& chunk, std::size_t number,
+Status checkCoordinates(const NearSheetChunks::Place& chunk, std::size_t number,
                         std::size_t textures, std::uint32_t face) {
     if (chunk.texture >= textures)
         return invalid(face, "chunk ", number, ": has texture ", chunk.texture, " of ",
@@ -119,6 +194,15 @@ bool same(float a, float b) {
     return std::memcmp(&a, &b, sizeof a) == 0;
 }
 
+bool sameCoordinates(const NearSheetChunks& a, const NearSheetChunks& b) {
+    if (a.size() != b.size()) return false;
+    for (std::size_t i = 0; i < a.size(); ++i) {
+        const NearSheetChunk x = a[i], y = b[i];
+        if (std::memcmp(&x, &y, sizeof x) != 0) return false;
+    }
+    return true;
+}
+
 bool sameTexture(const NearTexture& a, const NearTexture& b) {
     return a.width == b.width && a.height == b.height && a.wrapU == b.wrapU &&
            a.wrapV == b.wrapV && same(a.cutoff, b.cutoff) && same(a.opacity, b.opacity) &&
@@ -140,7 +224,8 @@ Status checkSheets(const NearSheets& sheets, const MapInfo& info, std::size_t fa
         if (auto s = checkTexture(sheets.textures[i], i, face); !s) return s;
     }
     for (std::size_t i = 0; i < sheets.chunks.size(); ++i) {
-        if (auto s = checkCoordinates(sheets.chunks[i], i, sheets.textures.size(), face);
+        if (auto s =
+                checkCoordinates(sheets.chunks.place(i), i, sheets.textures.size(), face);
             !s)
             return s;
     }
@@ -153,10 +238,7 @@ void buildSheets(NearSheets& sheets) {
 }
 
 bool sameSheets(const NearSheets& a, const NearSheets& b) noexcept {
-    return sameChunks(a.triangles, b.triangles) && a.chunks.size() == b.chunks.size() &&
-           (a.chunks.empty() ||
-            std::memcmp(a.chunks.data(), b.chunks.data(),
-                        a.chunks.size() * sizeof(NearSheetChunk)) == 0) &&
+    return sameChunks(a.triangles, b.triangles) && sameCoordinates(a.chunks, b.chunks) &&
            std::equal(a.textures.begin(), a.textures.end(), b.textures.begin(),
                       b.textures.end(), sameTexture);
 }

@@ -319,6 +319,9 @@ void ShadowMap::dropLayers() noexcept {
     for (MapFace& face : faces_) {
         for (Tile& t : face.tiles)
             t = Tile();
+        // Queries look them up as corners.
+        for (NearTexture& texture : face.nearSheets.textures)
+            texture.texels = {};
     }
     hierarchy_ = {};
 }
@@ -388,7 +391,7 @@ std::uint64_t ShadowMap::memoryBytes() const noexcept {
             bytes += sizeof(Tile) +
                      4 * (t.begin.size() + t.z.size() + t.v.size() + t.n.size());
         }
-        bytes += nearFieldBytes(face.nearField.chunks.size()) +
+        bytes += mtsm::memoryBytes(face.nearField) +
                  nearHairBytes(face.nearHair.chunks.size());
         if (!face.nearSheets.empty()) bytes += mtsm::memoryBytes(face.nearSheets);
     }

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
 #include <mutex>
 #include <new>
 #include <optional>
@@ -320,15 +321,14 @@ std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept {
         for (const trace::PatchTree& tree : *trace::patchTrees(map))
             bytes += tree.memoryBytes();
     } else {
-        for (const trace::DensityTree& tree :
-             *trace::densityTrees(map, trace::DensityUse::receivers))
-            bytes += tree.memoryBytes();
+        bytes += trace::densityTreeBytes(map);
     }
     return bytes;
 }
 
 Status releaseLayers(ShadowMap& map) noexcept {
     if (!map.hasLayers() || map.layerCount() == 0) return {};
+    std::shared_ptr<base::Lazy> queryData;
     try {
         if (!shadow::fitsTrees(map))
             return makeError(ErrorCode::unsupported, "queries of a map with ",
@@ -342,10 +342,12 @@ Status releaseLayers(ShadowMap& map) noexcept {
                              map.layerCount(),
                              " layers: the layers stay, and queries go "
                              "through them, slowly");
+        if (!map.isOpaque()) queryData = trace::densityTreesAlone(map);
     } catch (const std::bad_alloc&) {  // for the message
         return Error{ErrorCode::tooLarge, "out of memory"};
     }
     map.dropLayers();
+    if (queryData) map.queryData_ = std::move(queryData);
     return {};
 }
 

@@ -658,20 +658,49 @@ bool hasNearMedia(const ShadowMap& map) noexcept {
            (!map.nearHair(0).empty() || !map.nearSheets(0).empty());
 }
 
+namespace {
+
+using Trees = std::vector<DensityTree>;
+/// From the finest level on, and from the one that is enough beside a near field.
+using TreeSets = std::array<base::Lazy, 2>;
+
+TreeSets& setsOf(const ShadowMap& map) {
+    return *map.queryData().get<std::shared_ptr<TreeSets>>(
+        [] { return std::make_shared<TreeSets>(); });
+}
+
+}  // namespace
+
 const std::vector<DensityTree>* densityTrees(const ShadowMap& map, DensityUse use) {
-    using Trees = std::vector<DensityTree>;
-    using Kept = std::array<base::Lazy, 2>;
     // Without layers there is nothing to make others from.
     const bool coarse =
         hasNearMedia(map) && (use == DensityUse::receivers || !map.hasLayers());
-    const auto& kept = map.queryData().get<std::shared_ptr<Kept>>(
-        [] { return std::make_shared<Kept>(); });
-    const Trees& trees = (*kept)[coarse].get<Trees>([&] {
+    const Trees& trees = setsOf(map)[coarse].get<Trees>([&] {
         DensityOptions options;
         options.finest = coarse ? kFinestBesideNear : 0;
         return buildAll(map, options);
     });
     return trees.empty() ? nullptr : &trees;
+}
+
+std::uint64_t densityTreeBytes(const ShadowMap& map) noexcept {
+    const auto* const sets = map.queryData().find<std::shared_ptr<TreeSets>>();
+    std::uint64_t bytes = 0;
+    for (std::size_t i = 0; sets && i < 2; ++i) {
+        const Trees* const trees = (**sets)[i].find<Trees>();
+        for (std::size_t face = 0; trees && face < trees->size(); ++face)
+            bytes += (*trees)[face].memoryBytes();
+    }
+    return bytes;
+}
+
+std::shared_ptr<base::Lazy> densityTreesAlone(const ShadowMap& map) {
+    const bool coarse = hasNearMedia(map);
+    const auto sets = std::make_shared<TreeSets>();
+    (*sets)[coarse].share(setsOf(map)[coarse]);
+    auto all = std::make_shared<base::Lazy>();
+    all->get<std::shared_ptr<TreeSets>>([&] { return sets; });
+    return all;
 }
 
 }  // namespace mtsm::trace

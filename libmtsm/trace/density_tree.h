@@ -26,6 +26,7 @@
 // Built in parallel in the caller's oneTBB arena, the same for any number of threads.
 #pragma once
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "mtsm/map.h"
@@ -141,5 +142,12 @@ enum class DensityUse {
 /// memory for them, for good.
 [[nodiscard]] const std::vector<DensityTree>* densityTrees(const ShadowMap& map,
                                                            DensityUse use);
+
+/// That these trees take, as many sets of them as are made.
+[[nodiscard]] std::uint64_t densityTreeBytes(const ShadowMap& map) noexcept;
+
+/// What queries keep of a map whose layers are let go of: of trees the set that they then
+/// go through, alone.
+[[nodiscard]] std::shared_ptr<base::Lazy> densityTreesAlone(const ShadowMap& map);
 
 }  // namespace mtsm::trace

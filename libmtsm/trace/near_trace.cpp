@@ -184,7 +184,7 @@ class Walk {
     void node(std::size_t level, std::size_t index);
     void findLanes(const NearBoxes& boxes, std::uint32_t children, int k,
                    std::uint32_t* lanes) const;
-    void chunk(const NearChunk& chunk, std::uint32_t lanes);
+    void chunk(std::size_t index, std::uint32_t lanes);
     [[nodiscard]] std::uint32_t trianglesFor(int lane, const Triangles& triangles) const;
     void cross(int lane, const SeenTriangles& seen, int t, const Box& box);
 
@@ -286,8 +286,7 @@ void Walk::node(std::size_t level, std::size_t index) {
         findLanes(boxes, found, k, lanes);
     for (; found && lanesLeft_; found &= found - 1) {
         const int i = std::countr_zero(found);
-        if (lanes[i] & lanesLeft_)
-            chunk(field_.chunks[first + std::size_t(i)], lanes[i] & lanesLeft_);
+        if (lanes[i] & lanesLeft_) chunk(first + std::size_t(i), lanes[i] & lanesLeft_);
     }
 }
 
@@ -337,9 +336,9 @@ void Walk::findLanes(const NearBoxes& boxes, std::uint32_t children, int k,
     }
 }
 
-void Walk::chunk(const NearChunk& chunk, std::uint32_t lanes) {
-    const Triangles triangles(chunk);
-    const std::uint32_t all = (1u << chunk.triangles()) - 1;
+void Walk::chunk(std::size_t index, std::uint32_t lanes) {
+    const Triangles triangles(field_.chunks, index);
+    const std::uint32_t all = (1u << field_.chunks.place(index).triangles) - 1;
     for (; lanes; lanes &= lanes - 1) {
         const int lane = std::countr_zero(lanes);
         std::uint32_t found = all & trianglesFor(lane, triangles);

@@ -14,6 +14,7 @@
 #include "trace/sheet_trace.h"
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
 #include <limits>
@@ -393,8 +394,8 @@ std::uint32_t Walk::lanesAt(const Vec3& low, const Vec3& high) const {
 }
 
 void Walk::chunk(std::size_t index, std::uint32_t lanes) {
-    const Triangles triangles(sheets_.triangles.chunks[index]);
-    const std::uint32_t all = (1u << sheets_.chunks[index].triangles) - 1;
+    const Triangles triangles(sheets_.triangles.chunks, index);
+    const std::uint32_t all = (1u << sheets_.chunks.place(index).triangles) - 1;
     for (; lanes; lanes &= lanes - 1) {
         const int lane = std::countr_zero(lanes);
         const std::uint32_t found = all & trianglesFor(lane, triangles);
@@ -526,10 +527,10 @@ void Walk::cross(int row, const SeenTriangles& seen, const Triangles& triangles,
 Vec Walk::opacity(std::size_t index, const Triangles& triangles, int t,
                   const Vec (&volumes)[3], Mask hits) const {
     const Floats d;
-    const NearSheetChunk& chunk = sheets_.chunks[index];
+    const NearSheetChunks::Place& chunk = sheets_.chunks.place(index);
     const NearTexture& texture = sheets_.textures[chunk.texture];
     if (texture.width == 1 && texture.height == 1) {
-        const float value = float(texture.texels[0]) * (1.0f / 255.0f);
+        const float value = float(texture.corners[0] & 0xff) * (1.0f / 255.0f);
         const bool there = texture.cutoff < 0.0f || value >= texture.cutoff;
         return hn::Set(d, !there                   ? 0.0f
                           : texture.cutoff >= 0.0f ? texture.opacity
@@ -541,8 +542,12 @@ Vec Walk::opacity(std::size_t index, const Triangles& triangles, int t,
         if (options_.perspective)
             weight = hn::Mul(weight, hn::Set(d, triangles.corner[c][2][t]));
         sum = hn::Add(sum, weight);
-        u = hn::Add(u, hn::Mul(weight, hn::Set(d, chunk.at(c, 0, t))));
-        v = hn::Add(v, hn::Mul(weight, hn::Set(d, chunk.at(c, 1, t))));
+        const std::array<std::uint16_t, 2> uv = sheets_.chunks.uv(index, c, t);
+        const auto at = [&](std::size_t axis) {
+            return hn::Set(d, chunk.low[axis] + chunk.step[axis] * float(uv[axis]));
+        };
+        u = hn::Add(u, hn::Mul(weight, at(0)));
+        v = hn::Add(v, hn::Mul(weight, at(1)));
     }
     const Vec scale = hn::Div(hn::Set(d, 1.0f), sum);
     return opacityAt(texture, hn::IfThenElseZero(hits, hn::Mul(u, scale)),

@@ -28,23 +28,23 @@ struct Triangles {
     alignas(64) Axes low, high;
     const float (&step)[3];  ///< of the grid that the corners are rounded to
 
-    explicit Triangles(const NearChunk& chunk) : step(chunk.step) {
+    Triangles(const NearChunks& chunks, std::size_t i) : step(chunks.place(i).step) {
         const Floats d;
-        const hn::Rebind<std::int32_t, Floats> whole;
-        const hn::Rebind<std::uint16_t, Floats> stored;
+        const NearChunks::Place& place = chunks.place(i);
+        const std::uint16_t* const q = chunks.points(i);
+        if (!place.areShared())
+            unpack(place, q);
+        else if (place.points <= std::uint64_t(kLanes))
+            unpack<kLanes>(place, q, chunks.corners(i));
+        else
+            unpack<NearChunks::kMostShared>(place, q, chunks.corners(i));
         for (int axis = 0; axis < 3; ++axis) {
-            const Vec first = hn::Set(d, chunk.low[axis]);
-            const Vec size = hn::Set(d, step[axis]);
             for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
-                Vec p[3];
-                for (int c = 0; c < 3; ++c) {
-                    const auto q = hn::LoadU(stored, chunk.corner[c][axis] + t);
-                    const Vec steps = hn::ConvertTo(d, hn::PromoteTo(whole, q));
-                    p[c] = hn::Add(first, hn::Mul(size, steps));
-                    hn::Store(p[c], d, corner[c][axis] + t);
-                }
-                hn::Store(hn::Min(hn::Min(p[0], p[1]), p[2]), d, low[axis] + t);
-                hn::Store(hn::Max(hn::Max(p[0], p[1]), p[2]), d, high[axis] + t);
+                const Vec a = hn::Load(d, corner[0][axis] + t);
+                const Vec b = hn::Load(d, corner[1][axis] + t);
+                const Vec c = hn::Load(d, corner[2][axis] + t);
+                hn::Store(hn::Min(hn::Min(a, b), c), d, low[axis] + t);
+                hn::Store(hn::Max(hn::Max(a, b), c), d, high[axis] + t);
             }
         }
     }
@@ -59,6 +59,90 @@ struct Triangles {
         return 0.5f * (std::abs(rays.planeU[receiver]) * step[0] +
                        std::abs(rays.planeV[receiver]) * step[1] +
                        std::abs(rays.planeW[receiver]) * step[2]);
+    }
+
+  private:
+    /// As many coordinates as there are lanes.
+    static Vec coordinates(const NearChunks::Place& place, int axis,
+                           const std::uint16_t* q) {
+        const Floats d;
+        const hn::Rebind<std::int32_t, Floats> whole;
+        const hn::Rebind<std::uint16_t, Floats> stored;
+        const Vec steps = hn::ConvertTo(d, hn::PromoteTo(whole, hn::LoadU(stored, q)));
+        return hn::Add(hn::Set(d, place.low[axis]),
+                       hn::Mul(hn::Set(d, place.step[axis]), steps));
+    }
+
+    /// Of triangles that share no corners.
+    void unpack(const NearChunks::Place& place, const std::uint16_t* q) {
+        const Floats d;
+        for (int axis = 0; axis < 3; ++axis) {
+            for (auto& c : corner) {
+                for (int t = 0; t < kTriangles; t += int(hn::Lanes(d)))
+                    hn::Store(coordinates(place, axis, q + t), d, c[axis] + t);
+                q += kTriangles;
+            }
+        }
+    }
+
+    /// Of triangles that have up to kMost points.
+    template <int kMost>
+    void unpack(const NearChunks::Place& place, const std::uint16_t* q,
+                const std::uint16_t* corners) {
+        constexpr int kWide = int(hn::MaxLanes(Floats()));
+        if constexpr (kWide >= 8) {
+            lookUp<kMost>(place, q, corners);
+            return;
+        }
+        alignas(64) float point[kMost];
+        for (int axis = 0; axis < 3; ++axis, q += place.points) {
+            for (int i = 0; i < kMost; i += kWide)
+                hn::Store(coordinates(place, axis, q + i), Floats(), point + i);
+            for (int t = 0; t < kTriangles; ++t) {
+                for (int c = 0; c < 3; ++c)
+                    corner[c][axis][t] = point[NearChunks::pointOf(corners[t], c)];
+            }
+        }
+    }
+
+    /// The same, with vectors as tables.
+    template <int kMost>
+    void lookUp(const NearChunks::Place& place, const std::uint16_t* q,
+                const std::uint16_t* corners) {
+        constexpr int kWide = int(hn::MaxLanes(Floats()));
+        constexpr int kTables = kMost / kWide > 0 ? kMost / kWide : 1;
+        const Floats d;
+        const Ints whole;
+        const hn::Rebind<std::uint16_t, Floats> stored;
+        using Indices = decltype(hn::IndicesFromVec(d, hn::Zero(whole)));
+        for (int t = 0; t < kTriangles; t += kWide) {
+            const auto words = hn::PromoteTo(whole, hn::LoadU(stored, corners + t));
+            Indices lane[3];
+            hn::Vec<Ints> table[3];
+            for (int c = 0; c < 3; ++c) {
+                const auto number = hn::ShiftRightSame(words, NearChunks::kBits * c);
+                const auto of = [&](int most) {
+                    return hn::And(number, hn::Set(whole, most));
+                };
+                lane[c] = hn::IndicesFromVec(d, of(kWide - 1));
+                table[c] = of(NearChunks::kMostShared - kWide);
+            }
+            const std::uint16_t* from = q;
+            for (int axis = 0; axis < 3; ++axis, from += place.points) {
+                Vec points[kTables];
+                for (int i = 0; i < kTables; ++i)
+                    points[i] = coordinates(place, axis, from + kWide * i);
+                for (int c = 0; c < 3; ++c) {
+                    Vec p = hn::TableLookupLanes(points[0], lane[c]);
+                    for (int i = 1; i < kTables; ++i) {
+                        const auto here = hn::Eq(table[c], hn::Set(whole, kWide * i));
+                        p = hn::IfThenElse(hn::RebindMask(d, here),
+                                           hn::TableLookupLanes(points[i], lane[c]), p);
+                    }
+                    hn::Store(p, d, corner[c][axis] + t);
+                }
+            }
+        }
     }
 };
 

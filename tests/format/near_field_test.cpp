@@ -25,7 +25,7 @@ NearField noisyField(std::size_t chunks, bool shared, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     NearField field;
     for (std::size_t i = 0; i < chunks; ++i) {
-        NearChunk& chunk = field.chunks.emplace_back();
+        NearChunk chunk;
         for (int axis = 0; axis < 3; ++axis) {
             chunk.low[axis] = float(random() % 10000) / 8.0f - 100.0f;
             chunk.step[axis] = random() % 5 ? 1.0f / float(1 + random() % 512) : 0.0f;
@@ -43,6 +43,7 @@ NearField noisyField(std::size_t chunks, bool shared, std::uint64_t seed) {
                         shared ? point[from][axis] : std::uint16_t(random());
             }
         }
+        field.chunks.push_back(chunk);
     }
     return field;
 }
@@ -100,7 +101,7 @@ TEST_CASE("a near field written by hand is the triangle that it says", "[format]
     INFO((map ? "" : map.error().message));
     REQUIRE(map);
     REQUIRE(map->nearField(0).chunks.size() == 1);
-    const NearChunk& chunk = map->nearField(0).chunks[0];
+    const NearChunk chunk = map->nearField(0).chunks[0];
     CHECK(chunk.triangles() == 1);
     const float expected[3][3] = {{0, 0, 0.5f}, {8, 0, 0.5f}, {0, 8, 1}};
     for (int t = 0; t < NearChunk::kTriangles; ++t) {
@@ -160,20 +161,23 @@ TEST_CASE("the bytes of a near field do not depend on the number of threads",
 }
 
 TEST_CASE("describe counts the triangles of a near field", "[format]") {
-    NearField field = noisyField(20, false, 13);
+    NearField field = noisyField(19, false, 13);
+    NearChunk few = noisyField(1, false, 14).chunks[0];
     for (int t = 5; t < NearChunk::kTriangles; ++t) {  // the last of 5 triangles repeated
-        for (int c = 0; c < 3; ++c) {
-            for (int axis = 0; axis < 3; ++axis)
-                field.chunks[19].corner[c][axis][t] = field.chunks[19].corner[c][axis][4];
+        for (auto& corner : few.corner) {
+            for (auto& axis : corner)
+                axis[t] = axis[4];
         }
     }
+    field.chunks.push_back(few);
     const TempFolder folder;
     REQUIRE(writeMap(mapWith({std::move(field)}), folder / "a.mtsm"));
     const auto d = describe(folder / "a.mtsm");
     REQUIRE(d);
     CHECK(d->nearChunks == 20);
     CHECK(d->nearTriangles == 19 * 16 + 5);
-    CHECK(d->nearBytes == 20 * 312 + 3 * 384);  // two nodes, and one above them
+    // 19 chunks of 48 points and one of 15; two nodes, and one above them.
+    CHECK(d->nearBytes == 20 * 32 + 19 * 288 + 2 * (16 + 45) + 64 + 3 * 384);
 }
 
 TEST_CASE("a NEAR block that lies is refused and the message says where",
@@ -217,6 +221,39 @@ TEST_CASE("a NEAR block that lies is refused and the message says where",
     checkNumber(18 + 5, 0xbf, "axis w: starts at 0.5 with steps of -0.5");
     checkNumber(18 + 3, 0x7f, "axis u");  // infinite
     checkNumber(18 + 3, 0x7e, "axis u");  // 65535 steps are
+}
+
+TEST_CASE("a point that a NEAR block names twice is the same point", "[format]") {
+    // The second triangle names the first one's points anew; and so do 14 more, which are
+    // 48 points then.
+    for (const std::uint32_t triangles : {2u, 16u}) {
+        Bytes near = handmadeNear();
+        near.resize(24 + 24 + 48);
+        poke(near, 16, NearPart{3 * triangles, 72 + 18 * triangles});
+        for (std::uint32_t corner = 0; corner < 48; ++corner)
+            near[48 + corner] =
+                corner < 3 * triangles ? std::uint8_t(0) : std::uint8_t(3 - corner % 3);
+        const std::uint16_t points[3][3] = {{0, 0, 0}, {8, 0, 0}, {0, 8, 1}};
+        const auto zigzag = [](int d) {
+            return std::uint8_t(d < 0 ? -2 * d - 1 : 2 * d);
+        };
+        for (int axis = 0; axis < 3; ++axis) {
+            int before = 0;
+            for (std::uint32_t i = 0; i < 3 * triangles; ++i) {
+                near.push_back(zigzag(points[i % 3][axis] - before));
+                before = points[i % 3][axis];
+            }
+        }
+        near.resize(near.size() + 9 * triangles);  // the high bytes
+        const auto map = readBytes(withNear(near));
+        INFO((map ? "" : map.error().message));
+        REQUIRE(map);
+        const auto once = readBytes(withNear(handmadeNear()));
+        REQUIRE(once);
+        CHECK(identical(*map, *once));
+        CHECK(map->nearField(0).triangles() == 1);
+        CHECK(encoded(*map) == encoded(*once));
+    }
 }
 
 TEST_CASE("chunks that a file only claims take no memory", "[format][bad-input]") {

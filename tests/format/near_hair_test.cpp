@@ -70,7 +70,8 @@ TEST_CASE("strands come back bit by bit, whatever their number and codec",
         }
     }
     NearField triangles;
-    triangles.chunks.resize(3);
+    for (int i = 0; i < 3; ++i)
+        triangles.chunks.push_back({});
     const ShadowMap six =
         mapWith({noisyHair(3, 1), {}, noisyHair(300, 2), {}, {}, {}}, triangles);
     const auto back = readBytes(encoded(six));

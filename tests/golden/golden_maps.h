@@ -308,7 +308,7 @@ inline Golden nearField() {
         faces.push_back({six.map.projection(f), {six.map.tile(f, 0, 0)}, {}, {}});
     Numbers numbers(19);
     for (int i = 0; i < 1030; ++i) {
-        NearChunk& chunk = faces[1].nearField.chunks.emplace_back();
+        NearChunk chunk;
         for (int axis = 0; axis < 3; ++axis) {
             chunk.step[axis] = axis == 2 ? 0x1p-16f : i % 7 == 3 ? 0.0f : 0x1p-8f;
             chunk.low[axis] = float(int(numbers.below(4096)) - 512) * 0x1p-8f;
@@ -322,6 +322,7 @@ inline Golden nearField() {
                 chunk.corner[c][2][t] = std::uint16_t(n * n * 7 + std::uint32_t(i) % 5);
             }
         }
+        faces[1].nearField.chunks.push_back(chunk);
     }
     NearChunk one;  // a single triangle, repeated
     one.low[2] = 0.25f;
@@ -330,7 +331,7 @@ inline Golden nearField() {
         one.corner[1][0][t] = 65535;
         one.corner[2][1][t] = 65535;
     }
-    faces[4].nearField.chunks = {one};
+    faces[4].nearField.chunks.push_back(one);
     auto map = ShadowMap::create(six.map.info(), std::move(faces));
     if (!map) throw std::runtime_error(map.error().message);
     return {"near_field", *std::move(map)};
@@ -397,8 +398,8 @@ inline Golden nearSheets() {
             texture.texels.push_back(std::uint8_t(i == 1 ? numbers.below(256) : k / 8));
     }
     for (std::uint32_t i = 0; i < 1026; ++i) {
-        NearChunk& chunk = near.triangles.chunks.emplace_back();
-        NearSheetChunk& coordinates = near.chunks.emplace_back();
+        NearChunk chunk;
+        NearSheetChunk coordinates;
         coordinates.texture = i % 3;
         coordinates.triangles = i % 5 == 4 ? 1 + i % 16 : 16;
         for (int axis = 0; axis < 3; ++axis) {
@@ -419,6 +420,8 @@ inline Golden nearSheets() {
                         std::uint16_t(c == axis ? 32768 : i % 7 * t);
             }
         }
+        near.triangles.chunks.push_back(chunk);
+        near.chunks.push_back(coordinates);
     }
     auto map = ShadowMap::create(six.map.info(), std::move(faces));
     if (!map) throw std::runtime_error(map.error().message);

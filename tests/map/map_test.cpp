@@ -125,8 +125,8 @@ TEST_CASE("a map keeps no memory that its layers do not take", "[map]") {
     MapFace face;
     face.projection = test::plainProjection(8, 8);
     face.tiles.push_back(std::move(tile));
-    face.nearField.chunks.reserve(100);
-    face.nearField.chunks.resize(1);
+    face.nearHair.chunks.reserve(100);
+    face.nearHair.chunks.resize(1);
     std::vector<MapFace> faces;
     faces.push_back(std::move(face));
     const auto map = ShadowMap::create(test::plainInfo(8, 8, 8), std::move(faces));
@@ -136,7 +136,7 @@ TEST_CASE("a map keeps no memory that its layers do not take", "[map]") {
     CHECK(kept.z.capacity() == 1);
     CHECK(kept.v.capacity() == 1);
     CHECK(kept.n.capacity() == 1);
-    CHECK(map->nearField(0).chunks.capacity() == 1);
+    CHECK(map->nearHair(0).chunks.capacity() == 1);
 }
 
 TEST_CASE("identical sees every bit of a layer and nothing else", "[map]") {
@@ -156,7 +156,7 @@ TEST_CASE("boxes of a near field hold what is below them and no more", "[map]") 
     NearField& made = faces[0].nearField;
     made.levels.resize(7);  // what is there does not matter
     for (int i = 0; i < 16 * 16 + 1; ++i) {
-        NearChunk& chunk = made.chunks.emplace_back();
+        NearChunk chunk;
         for (int axis = 0; axis < 3; ++axis) {
             chunk.low[axis] = float(random() % 1000);
             chunk.step[axis] = 0x1p-8f;
@@ -167,6 +167,7 @@ TEST_CASE("boxes of a near field hold what is below them and no more", "[map]") 
                     q = std::uint16_t(random() % 9000);
             }
         }
+        made.chunks.push_back(chunk);
     }
     const auto map =
         ShadowMap::create(test::plainInfo(8, 8, 8), std::vector<MapFace>(faces));
@@ -206,9 +207,10 @@ TEST_CASE("boxes of a near field hold what is below them and no more", "[map]") 
     const auto none =
         ShadowMap::create(test::plainInfo(8, 8, 8), std::vector<MapFace>(faces));
     REQUIRE(none);
-    CHECK(map->memoryBytes() == none->memoryBytes() + 257 * 312 + 20 * 384);
-    CHECK(nearFieldBytes(257) == 257 * 312 + 20 * 384);
-    CHECK(nearFieldBytes(0) == 0);
+    CHECK(map->memoryBytes() == none->memoryBytes() + memoryBytes(field));
+    CHECK(memoryBytes(field) == field.chunks.memoryBytes() + 20 * 384);
+    CHECK(nearFieldBytes(257, 15) == NearChunks::memoryBytes(257, 15) + 20 * 384);
+    CHECK(nearFieldBytes(0, 15) == 0);
     CHECK_FALSE(identical(*map, *none));
 }
 
@@ -217,9 +219,11 @@ TEST_CASE("a near field whose grids are not finite is refused", "[map][bad-input
         std::vector<MapFace> faces(1);
         faces[0].projection = test::plainProjection(8, 8);
         faces[0].tiles.resize(1);
-        faces[0].nearField.chunks.resize(2);
-        faces[0].nearField.chunks[1].low[2] = low;
-        faces[0].nearField.chunks[1].step[2] = step;
+        NearChunk chunk;
+        faces[0].nearField.chunks.push_back(chunk);
+        chunk.low[2] = low;
+        chunk.step[2] = step;
+        faces[0].nearField.chunks.push_back(chunk);
         const auto map = ShadowMap::create(test::plainInfo(8, 8, 8), std::move(faces));
         return !map && map.error().message.find("chunk 1, axis w") != std::string::npos;
     };

@@ -176,19 +176,21 @@ TEST_CASE("a map's kind is told by the near fields of all its faces", "[quality]
         return kindOf(*map);
     };
     const auto nothing = [](Faces&) {};
-    const auto triangles = [](Faces& faces) { faces.back().nearField.chunks.resize(1); };
+    const auto triangles = [](Faces& faces) {
+        faces.back().nearField.chunks.push_back({});
+    };
     const auto hair = [](Faces& faces) {
         NearHairChunk chunk;
         chunk.opacity[0] = 65535;
         faces.back().nearHair.chunks = {chunk};
     };
     const auto sheets = [](Faces& faces) {
-        faces.back().nearSheets.triangles.chunks.resize(1);
-        faces.back().nearSheets.chunks.resize(1);
+        faces.back().nearSheets.triangles.chunks.push_back({});
+        faces.back().nearSheets.chunks.push_back({});
         faces.back().nearSheets.textures.resize(1);
     };
     const auto both = [&](Faces& faces) {
-        faces.front().nearField.chunks.resize(1);
+        faces.front().nearField.chunks.push_back({});
         hair(faces);
     };
     const auto one = std::vector{test::plainProjection(8, 8)};

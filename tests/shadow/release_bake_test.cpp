@@ -11,6 +11,7 @@
 #include "mtsm/shadow.h"
 #include "random.h"
 #include "shadow/released.h"
+#include "trace/density_tree.h"
 
 using namespace mtsm;
 using test::Random, test::released, test::sameBits;
@@ -256,6 +257,44 @@ TEST_CASE("memory without layers is less by what they took, and copies are their
         CHECK(releaseLayers(bare));  // again
         CHECK(queryMemoryBytes(bare) == queryMemoryBytes(copy));
     }
+}
+
+TEST_CASE("trees that rays beside near media made are counted, and go with the layers",
+          "[shadow]") {
+    for (const Kind& kind : kKinds) {
+        INFO(kind.name);
+        const ShadowMap map = bakeOf(kind, LightShape::disk, true);
+        if (map.isOpaque()) continue;
+        ShadowMap other = map;  // shares what queries make
+        ShadowMap bare = bakeOf(kind, LightShape::disk, true);
+        REQUIRE(releaseLayers(bare));
+        const std::uint64_t before = queryMemoryBytes(map);
+        Random random(3);
+        const auto rays = steepRays(random, kind, 20);
+        follow(map, rays, {});
+        const auto* const trees = trace::densityTrees(map, trace::DensityUse::rays);
+        REQUIRE(trees);
+        std::uint64_t made = 0;
+        for (const trace::DensityTree& tree : *trees)
+            made += trace::hasNearMedia(map) ? tree.memoryBytes() : 0;
+        CHECK(queryMemoryBytes(map) == before + made);
+        REQUIRE(releaseLayers(other));
+        CHECK(queryMemoryBytes(other) == queryMemoryBytes(bare));
+        CHECK(queryMemoryBytes(map) == before + made);
+        CHECK(follow(other, rays, {}) == follow(bare, rays, {}));
+    }
+}
+
+TEST_CASE("texels of near sheets go with the layers", "[shadow]") {
+    constexpr Kind kind = {"glass", false, true, false, false};
+    const ShadowMap map = bakeOf(kind, LightShape::disk, true);
+    REQUIRE(map.nearSheets(0).textures.size() == 1);
+    ShadowMap bare = map;
+    REQUIRE(releaseLayers(bare));
+    const std::size_t texels = map.nearSheets(0).textures[0].texels.size();
+    CHECK(texels > 0);
+    CHECK(bare.nearSheets(0).textures[0].texels.empty());
+    CHECK(memoryBytes(bare.nearSheets(0)) == memoryBytes(map.nearSheets(0)) - texels);
 }
 
 TEST_CASE("unchecked, what needs layers is answered as by trace", "[shadow]") {

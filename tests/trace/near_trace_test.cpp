@@ -38,7 +38,7 @@ ShadowMap mapOfTriangles(const std::vector<Triangle>& triangles) {
     faces[0].projection = test::plainProjection(8, 8);
     faces[0].tiles.resize(1);
     for (std::size_t i = 0; i < triangles.size(); i += 16) {
-        NearChunk& chunk = faces[0].nearField.chunks.emplace_back();
+        NearChunk chunk;
         const std::size_t last = std::min(i + 16, triangles.size()) - 1;
         for (int axis = 0; axis < 3; ++axis) {
             double low = HUGE_VAL;
@@ -58,6 +58,7 @@ ShadowMap mapOfTriangles(const std::vector<Triangle>& triangles) {
                 }
             }
         }
+        faces[0].nearField.chunks.push_back(chunk);
     }
     auto map = ShadowMap::create(test::plainInfo(8, 8, 8), std::move(faces));
     REQUIRE(map);

@@ -58,8 +58,8 @@ ShadowMap mapOf(const std::vector<Sheet>& sheets, std::vector<NearTexture> textu
         while (end < sheets.size() && end < i + 16 &&
                sheets[end].texture == sheets[i].texture)
             ++end;
-        NearChunk& chunk = near.triangles.chunks.emplace_back();
-        NearSheetChunk& coordinates = near.chunks.emplace_back();
+        NearChunk chunk;
+        NearSheetChunk coordinates;
         coordinates.texture = sheets[i].texture;
         coordinates.triangles = std::uint32_t(end - i);
         glm::dvec3 low(HUGE_VAL);
@@ -89,6 +89,8 @@ ShadowMap mapOf(const std::vector<Sheet>& sheets, std::vector<NearTexture> textu
                         std::uint16_t((s.uv[c][axis] - lowUv[axis]) * 0x1p10);
             }
         }
+        near.triangles.chunks.push_back(chunk);
+        near.chunks.push_back(coordinates);
         i = end;
     }
     auto map = ShadowMap::create(test::plainInfo(8, 8, 8), std::move(faces));

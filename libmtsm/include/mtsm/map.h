@@ -227,8 +227,9 @@ class ShadowMap {
         return faceRanges_[face];
     }
 
-    /// False after releaseLayers() (mtsm/shadow.h). Then tiles and pixels are empty, and
-    /// every zRange() is that of its whole face. All else is as before.
+    /// False after releaseLayers() (mtsm/shadow.h). Then tiles, pixels and the texels of
+    /// near sheets are empty, and every zRange() is that of its whole face. All else is
+    /// as before.
     [[nodiscard]] bool hasLayers() const noexcept { return hasLayers_; }
     /// That the map was made with.
     [[nodiscard]] std::uint64_t layerCount() const noexcept { return layerCount_; }

@@ -22,24 +22,9 @@
 #include <cstdint>
 #include <vector>
 
+#include "mtsm/near_chunks.h"
+
 namespace mtsm {
-
-/// Up to 16 triangles that lie close together. Where there are fewer, the last one is
-/// repeated to the end. Which way round the corners run means nothing.
-struct NearChunk {
-    static constexpr int kTriangles = 16;
-
-    float low[3] = {};   ///< [u, v, w], finite
-    float step[3] = {};  ///< [u, v, w], >= 0; low + 65535 * step is finite
-    std::uint16_t corner[3][3][kTriangles] = {};  ///< [corner][u, v, w][triangle]
-
-    [[nodiscard]] float at(int c, int axis, int triangle) const noexcept {
-        return low[axis] + step[axis] * float(corner[c][axis][triangle]);
-    }
-    /// Those before the repeats of the last one.
-    [[nodiscard]] int triangles() const noexcept;
-};
-static_assert(sizeof(NearChunk) == 312);
 
 /// Up to 16 segments of strands that lie close together; all others have opacity 0.
 struct NearHairChunk {
@@ -74,7 +59,7 @@ struct NearBoxes {
 
 /// All triangles of one face; of its window and some way around it.
 struct NearField {
-    std::vector<NearChunk> chunks;
+    NearChunks chunks;
     /// Child i of node n at level 0 is chunk 16 n + i, at level k node 16 n + i of level
     /// k - 1; the last level has one node. ShadowMap::create builds them, whatever is
     /// there.
@@ -94,8 +79,10 @@ struct NearHair {
     [[nodiscard]] std::uint64_t segments() const noexcept;
 };
 
-/// What so many chunks take in memory, boxes included.
-[[nodiscard]] std::uint64_t nearFieldBytes(std::uint64_t chunks) noexcept;
+/// What it takes in memory, boxes included.
+[[nodiscard]] std::uint64_t memoryBytes(const NearField& field) noexcept;
+/// What so many chunks take, boxes included; of triangles with so many points each.
+[[nodiscard]] std::uint64_t nearFieldBytes(std::uint64_t chunks, int points) noexcept;
 [[nodiscard]] std::uint64_t nearHairBytes(std::uint64_t chunks) noexcept;
 
 }  // namespace mtsm

@@ -124,12 +124,14 @@ Status checkQuery(const ShadowMap& map, const AreaLight& light,
 /// long as the map and serves its copies as well.
 void prepareQueries(const ShadowMap& map) noexcept;
 
-/// What the map takes while it is queried by `trace`: its own memoryBytes() and what
-/// prepareQueries makes, which is made if need be.
+/// What the map takes while it is queried by `trace`: its own memoryBytes(), what
+/// prepareQueries makes, which is made if need be, and what rays of a caller's have made
+/// besides (trees of their own, in maps with a near field of hair or sheets).
 [[nodiscard]] std::uint64_t queryMemoryBytes(const ShadowMap& map) noexcept;
 
-/// For renderers that only shade: makes what prepareQueries makes and then lets go of the
-/// map's layers, which `trace` asks for hardly anything more.
+/// For renderers that only shade: makes what prepareQueries makes and then lets go of all
+/// else: the map's layers, which `trace` asks for hardly anything more, texels of near
+/// sheets, and trees of which without layers there is no use.
 ///
 ///     auto map = mtsm::readMap("key.mtsm");
 ///     if (auto s = mtsm::releaseLayers(*map); !s) warn(s.error());  // it goes on, whole

@@ -1,0 +1,70 @@
+// near_points.h - the corners of a chunk's 16 triangles as different points, and which of
+// them each is: how NearChunks and NearSheetChunks keep them.
+#pragma once
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <cstdint>
+
+#include "mtsm/near_chunks.h"
+
+namespace mtsm::map_detail {
+
+inline constexpr std::size_t kTriangles = NearChunk::kTriangles;
+inline constexpr std::size_t kCorners = NearChunks::kCorners;
+
+/// Points in the order in which corners, triangle by triangle, first name them.
+template <std::size_t kAxes>
+struct NearPoints {
+    using Point = std::array<std::uint16_t, kAxes>;
+
+    Point points[kCorners];
+    std::uint8_t numbers[kCorners];  ///< [triangle][corner]
+    std::size_t count = 0;
+
+    /// `corners`: [corner][axis][triangle].
+    explicit NearPoints(const std::uint16_t (&corners)[3][kAxes][kTriangles]) {
+        for (std::size_t corner = 0; corner < kCorners; ++corner) {
+            Point p;
+            for (std::size_t axis = 0; axis < kAxes; ++axis)
+                p[axis] = corners[corner % 3][axis][corner / 3];
+            std::size_t known = count;
+            while (known > 0 && points[known - 1] != p)
+                --known;
+            if (known == 0) points[(known = ++count) - 1] = p;
+            numbers[corner] = std::uint8_t(known - 1);
+        }
+    }
+};
+
+/// Points that are shared are kept as the numbers of each triangle's three and then
+/// [axis][point]; others as [axis][corner][triangle].
+constexpr bool areShared(std::size_t points) {
+    return points <= std::size_t(NearChunks::kMostShared);
+}
+constexpr std::size_t wordsOf(std::size_t axes, std::size_t points) {
+    return areShared(points) ? kTriangles + axes * points : axes * kCorners;
+}
+
+template <std::size_t kAxes>
+void writePoints(const std::array<std::uint16_t, kAxes>* points, std::size_t count,
+                 const std::uint8_t* numbers, std::uint16_t* q) {
+    if (!areShared(count)) {
+        for (std::size_t axis = 0; axis < kAxes; ++axis) {
+            for (std::size_t c = 0; c < 3; ++c) {
+                for (std::size_t t = 0; t < kTriangles; ++t)
+                    *q++ = points[numbers[3 * t + c]][axis];
+            }
+        }
+        return;
+    }
+    constexpr int kBits = NearChunks::kBits;
+    for (const std::uint8_t* n = numbers; n < numbers + kCorners; n += 3)
+        *q++ = std::uint16_t(n[0] | n[1] << kBits | n[2] << 2 * kBits);
+    for (std::size_t axis = 0; axis < kAxes; ++axis) {
+        for (std::size_t i = 0; i < count; ++i)
+            *q++ = points[i][axis];
+    }
+}
+
+}  // namespace mtsm::map_detail
