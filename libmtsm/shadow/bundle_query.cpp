@@ -667,6 +667,19 @@ Answer BundleQuery::answerOf(Glance told) const noexcept {
 
 void BundleQuery::look(const Receiver* receivers, int count, int step, Sums* sums,
                        QueryStats& stats) const noexcept {
+    const auto groupsOf = [](std::uint32_t samples) {
+        return int((samples + trace::kLanes - 1) / trace::kLanes);
+    };
+    const int begin = groupsOf(steps_.first(step)), end = groupsOf(steps_.end[step]);
+    // Near media are looked at once for all rays of a receiver in a bundle; the way
+    // through layers is each ray's own.
+    const int most = std::max(trace::kMostRows / std::max(end - begin, 1), 1);
+    if (!opaque_ && count > most) {
+        for (int first = 0; first < count; first += most)
+            look(receivers + first, std::min(most, count - first), step, sums + first,
+                 stats);
+        return;
+    }
     const bool normals = receivers[0].normal != glm::dvec3(0.0);
     const bool weights = normals && options_.weight == Weight::cosine;
     const std::uint32_t home = faceOf(receivers[0].point);
@@ -685,11 +698,7 @@ void BundleQuery::look(const Receiver* receivers, int count, int step, Sums* sum
     const int atOnce = trace::kMostRows / count;
     for (int i = 0; i < count; ++i)
         sums[i].seen.spread = 0.0f;
-    const auto groupsOf = [](std::uint32_t samples) {
-        return int((samples + trace::kLanes - 1) / trace::kLanes);
-    };
-    const int end = groupsOf(steps_.end[step]);
-    for (int first = groupsOf(steps_.first(step)); first < end; first += atOnce) {
+    for (int first = begin; first < end; first += atOnce) {
         light.fill(lanes, first, std::min(atOnce, end - first), rays.bundle, rays.fates);
         const int groups = rays.bundle.groups, rows = count * groups;
         for (int row = 0; row < rows; ++row) {
