@@ -110,6 +110,15 @@ float sum(std::uint32_t rays, const float* weights) {
     return total;
 }
 
+/// In an order that vectors can follow.
+float sumOf(float (&lanes)[trace::kLanes]) {
+    for (int n = trace::kLanes / 2; n > 0; n /= 2) {
+        for (int i = 0; i < n; ++i)
+            lanes[i] += lanes[i + n];
+    }
+    return lanes[0];
+}
+
 }  // namespace
 
 bool BundleQuery::serves(const ShadowMap& map, const AreaLight& light,
@@ -506,7 +515,7 @@ void BundleQuery::cut(std::uint32_t home, std::uint32_t number, const Receiver& 
 }
 
 /// Adds what the rays leave of the light. `valid` [row]: the rays that there are.
-void BundleQuery::addUp(const Rays& rays, const std::uint16_t* valid, bool weights,
+void BundleQuery::addUp(Rays& rays, const std::uint16_t* valid, bool weights,
                         Sums* sums) const noexcept {
     const int rows = rays.bundle.receivers * rays.bundle.groups;
     const RayFates& fates = rays.fates;
@@ -527,27 +536,27 @@ void BundleQuery::addUp(const Rays& rays, const std::uint16_t* valid, bool weigh
         return;
     }
     const std::uint32_t channels = map_.info().channels;
-    const auto threshold = float(thresholdOf(options_.threshold));
+    trace::seeThrough(rows, channels, float(thresholdOf(options_.threshold)),
+                      rays.followed, fates.clear, rays.depths);
     for (int row = 0; row < rows; ++row) {
         Sums& s = sums[row / rays.bundle.groups];
-        float means[trace::kLanes];  // of the channels
-        for (std::uint32_t rest = valid[row]; rest; rest &= rest - 1) {
-            const int i = std::countr_zero(rest);
-            glm::vec3 v(fates.clear[row] >> i & 1 ? 1.0f : 0.0f);
-            if (rays.followed[row] >> i & 1) {
-                for (std::uint32_t c = 0; c < 3; ++c) {
-                    const float left =
-                        std::exp(-rays.depths.depth[c < channels ? c : 0][row][i]);
-                    v[int(c)] = left > threshold ? left : 0.0f;
-                }
-            }
-            s.visible += (weights ? fates.weight[row][i] : 1.0f) * v;
-            s.least = std::min({s.least, v.x, v.y, v.z});
-            s.most = std::max({s.most, v.x, v.y, v.z});
-            means[i] = mean(v, channels);
-        }
-        if (!errors_) continue;
         const int count = std::popcount(valid[row]);
+        float means[trace::kLanes] = {};
+        for (std::uint32_t c = 0; c < channels; ++c) {
+            const float* const v = rays.depths.depth[c][row];
+            for (int i = 0; i < count; ++i) {
+                s.least = std::min(s.least, v[i]);
+                s.most = std::max(s.most, v[i]);
+                means[i] += v[i] / float(channels);
+            }
+            alignas(64) float part[trace::kLanes];
+            for (int i = 0; i < trace::kLanes; ++i)
+                part[i] =
+                    i < count ? (weights ? fates.weight[row][i] : 1.0f) * v[i] : 0.0f;
+            s.visible[int(c)] += sumOf(part);
+        }
+        if (channels == 1) s.visible.y = s.visible.z = s.visible.x;
+        if (!errors_) continue;
         for (int i = 0; i < count; ++i) {
             s.seen.sum += means[i];
             s.seen.squares += means[i] * means[i];

@@ -10,6 +10,8 @@
 #define HWY_TARGET_INCLUDE "trace/density_trace.cpp"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
+//
+#include "hwy/contrib/math/math-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace mtsm::trace {
@@ -645,6 +647,29 @@ void traceDensityAt(const DensityTree& tree, const DensityTraceOptions& options,
     kernel.trace(bundle, depths);
 }
 
+void seeThroughAt(int rows, std::uint32_t channels, float threshold,
+                  const std::uint16_t* followed, const std::uint16_t* clear,
+                  RayDepths& depths) {
+    const Floats d;
+    const auto zero = hn::Zero(d), one = hn::Set(d, 1.0f);
+    for (std::uint32_t c = 0; c < channels; ++c) {
+        for (int row = 0; row < rows; ++row) {
+            for (int i = 0; i < kLanes; i += int(hn::Lanes(d))) {
+                float* const at = depths.depth[c][row] + i;
+                const auto depth = hn::Load(d, at);
+                const auto left =
+                    hn::IfThenElse(hn::Gt(depth, zero), hn::Exp(d, hn::Neg(depth)), one);
+                const auto seen =
+                    hn::IfThenElseZero(hn::Gt(left, hn::Set(d, threshold)), left);
+                const auto others =
+                    hn::IfThenElse(maskOf(d, std::uint32_t(clear[row]) >> i), one, zero);
+                const auto met = maskOf(d, std::uint32_t(followed[row]) >> i);
+                hn::Store(hn::IfThenElse(met, seen, others), d, at);
+            }
+        }
+    }
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace mtsm::trace
 HWY_AFTER_NAMESPACE();
@@ -653,10 +678,18 @@ HWY_AFTER_NAMESPACE();
 namespace mtsm::trace {
 
 HWY_EXPORT(traceDensityAt);
+HWY_EXPORT(seeThroughAt);
 
 void traceDensity(const DensityTree& tree, const DensityTraceOptions& options,
                   RayBundle& bundle, RayDepths& depths) noexcept {
     HWY_DYNAMIC_DISPATCH(traceDensityAt)(tree, options, bundle, depths);
+}
+
+void seeThrough(int rows, std::uint32_t channels, float threshold,
+                const std::uint16_t* followed, const std::uint16_t* clear,
+                RayDepths& depths) noexcept {
+    HWY_DYNAMIC_DISPATCH(seeThroughAt)
+    (rows, channels, threshold, followed, clear, depths);
 }
 
 namespace {
