@@ -27,6 +27,7 @@
 #define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "trace/hair_trace.cpp"
+#include "hwy/cache_control.h"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
 #include "trace/lanes-inl.h"
@@ -220,6 +221,7 @@ class HairWalk {
 
     void setUp(int receiver);
     void node(std::size_t level, std::size_t index);
+    static void fetch(const NearHairChunk& chunk);
     [[nodiscard]] std::uint32_t lanesAt(const NearBoxes& boxes, int i) const;
     [[nodiscard]] bool isAround(const NearBoxes& boxes, int i, int lane) const;
     void chunk(const NearHairChunk& chunk, std::uint32_t lanes, std::uint32_t around);
@@ -250,9 +252,8 @@ class HairWalk {
         float u, v, reachU, reachV;
     };
     [[nodiscard]] RowBounds boundsOf(int row) const;
-    [[nodiscard]] std::uint32_t near(const RowBounds& row,
-                                     const SeenSegments& seen) const;
-    void cross(int row, const SeenSegments& seen, std::uint32_t which);
+    void cross(int lane, const SeenSegments& seen, std::uint32_t found);
+    void crossRow(int row, const SeenSegments& seen, std::uint32_t which);
 
     const NearHair& hair_;
     const HairView& view_;
@@ -339,10 +340,18 @@ void HairWalk::node(std::size_t level, std::size_t index) {
         }
         found |= bitsOf(overlap) << i;
     }
+    std::uint32_t lanesOf[NearBoxes::kChildren];
+    for (std::uint32_t rest = found; rest; rest &= rest - 1) {
+        const int i = std::countr_zero(rest);
+        lanesOf[i] = lanesAt(boxes, i) & lanesLeft_;
+        if (lanesOf[i] == 0)
+            found &= ~(1u << i);
+        else if (level == 0)
+            fetch(hair_.chunks[NearBoxes::kChildren * index + std::size_t(i)]);
+    }
     for (; found; found &= found - 1) {
         const int i = std::countr_zero(found);
-        const std::uint32_t lanes = lanesAt(boxes, i) & lanesLeft_;
-        if (lanes == 0) continue;
+        const std::uint32_t lanes = lanesOf[i];
         const std::size_t child = NearBoxes::kChildren * index + std::size_t(i);
         if (level > 0) {
             node(level - 1, child);
@@ -354,6 +363,14 @@ void HairWalk::node(std::size_t level, std::size_t index) {
         }
         chunk(hair_.chunks[child], lanes, around);
     }
+}
+
+/// Asks for a chunk's memory before it is needed.
+void HairWalk::fetch(const NearHairChunk& chunk) {
+    constexpr std::size_t kLine = 64;
+    const auto* const bytes = reinterpret_cast<const char*>(&chunk);
+    for (std::size_t at = 0; at < sizeof(chunk) + kLine - 1; at += kLine)
+        hwy::Prefetch(bytes + std::min(at, sizeof(chunk) - 1));
 }
 
 /// May a receiver lie on a strand of the box, or within a width of it?
@@ -482,12 +499,7 @@ void HairWalk::look(int lane) {
         const int i = std::countr_zero(rest);
         seen.depth[i] = depthOf(std::uint16_t(waiting.opacity[i]));
     }
-    for (int group = 0; found && group < rays_.groups; ++group) {
-        const int row = rays_.row(lane, group);
-        if (rays_.open[row] == 0) continue;
-        const std::uint32_t which = found & near(bounds_[row], seen);
-        if (which) cross(row, seen, which);
-    }
+    if (found) cross(lane, seen, found);
     waiting.drop(std::min(waiting.count, kSegments));
 }
 
@@ -777,7 +789,7 @@ HairWalk::RowBounds HairWalk::boundsOf(int row) const {
         const float least = hn::GetLane(hn::MinOfLanes(d, low));
         const float most = hn::GetLane(hn::MaxOfLanes(d, high));
         middle = 0.5f * (least + most);
-        reach = std::max(most - middle, middle - least);
+        reach = (1.0f + 0x1p-16f) * std::max(most - middle, middle - least);
     };
     RowBounds of;
     bounds(slopeU_[row], of.u, of.reachU);
@@ -785,43 +797,48 @@ HairWalk::RowBounds HairWalk::boundsOf(int row) const {
     return of;
 }
 
-/// Segments that rays of a row may pass through; more rather than what rounding may hide.
-std::uint32_t HairWalk::near(const RowBounds& row, const SeenSegments& seen) const {
+/// Has the rays of the rows of a receiver meet segments of `found`.
+void HairWalk::cross(int lane, const SeenSegments& seen, std::uint32_t found) {
     const Floats d;
-    constexpr float kRounding = 0x1p-18f;
-    const Vec one = hn::Set(d, 1.0f), rounding = hn::Set(d, kRounding);
-    std::uint32_t found = 0;
+    std::uint32_t which[kMostRows] = {};
     for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
-        const Vec u = hn::Sub(hn::Set(d, row.u), hn::Load(d, seen.firstU + i));
-        const Vec v = hn::Sub(hn::Set(d, row.v), hn::Load(d, seen.firstV + i));
-        const auto reach = [&](float half, Vec from) {
-            const Vec h = hn::Set(d, half);
-            return hn::Add(h, hn::Mul(hn::Add(h, hn::Abs(from)), rounding));
-        };
-        const Vec reachU = reach(row.reachU, u), reachV = reach(row.reachV, v);
-        // Of the row's middle, and how far its rays are from that.
-        const auto measure = [&](const float* perU, const float* perV, Vec& aside) {
-            const Vec pu = hn::Load(d, perU + i), pv = hn::Load(d, perV + i);
-            aside = hn::Add(hn::Mul(hn::Abs(pu), reachU), hn::Mul(hn::Abs(pv), reachV));
-            return hn::Add(hn::Mul(u, pu), hn::Mul(v, pv));
-        };
-        Vec alongReach, acrossReach;
-        const Vec along = measure(seen.alongU, seen.alongV, alongReach);
-        const Vec across = measure(seen.acrossU, seen.acrossV, acrossReach);
-        const Vec wide = hn::Load(d, seen.wide + i);
-        const Vec widest = hn::Max(wide, hn::Add(wide, hn::Load(d, seen.widen + i)));
-        // Not told apart: what is not a number.
-        Mask off = hn::Gt(hn::Abs(across),
-                          hn::Add(hn::Mul(widest, hn::Add(one, rounding)), acrossReach));
-        off = hn::Or(off, hn::Lt(hn::Add(along, alongReach), hn::Neg(rounding)));
-        off = hn::Or(off, hn::Gt(hn::Sub(along, alongReach), hn::Add(one, rounding)));
-        found |= (~bitsOf(off) & ((1u << hn::Lanes(d)) - 1)) << i;
+        // More rows rather than what rounding may hide.
+        const Vec rounding = hn::Set(d, 0x1p-16f), one = hn::Set(d, 1.0f + 0x1p-16f);
+        const auto load = [&](const float* of) { return hn::Load(d, of + i); };
+        const Vec firstU = load(seen.firstU), firstV = load(seen.firstV);
+        const Vec alongU = load(seen.alongU), alongV = load(seen.alongV);
+        const Vec acrossU = load(seen.acrossU), acrossV = load(seen.acrossV);
+        const Vec wide = load(seen.wide);
+        const Vec widest = hn::Max(wide, hn::Add(wide, load(seen.widen)));
+        for (int group = 0; group < rays_.groups; ++group) {
+            const RowBounds& row = bounds_[rays_.row(lane, group)];
+            const Vec u = hn::Sub(hn::Set(d, row.u), firstU);
+            const Vec v = hn::Sub(hn::Set(d, row.v), firstV);
+            const Vec reachU = hn::MulAdd(hn::Abs(u), rounding, hn::Set(d, row.reachU));
+            const Vec reachV = hn::MulAdd(hn::Abs(v), rounding, hn::Set(d, row.reachV));
+            // Of the row's middle, and how far its rays are from that.
+            const Vec along = hn::MulAdd(u, alongU, hn::Mul(v, alongV));
+            const Vec across = hn::MulAdd(u, acrossU, hn::Mul(v, acrossV));
+            const Vec alongReach =
+                hn::MulAdd(reachU, hn::Abs(alongU), hn::Mul(reachV, hn::Abs(alongV)));
+            const Vec acrossReach = hn::MulAdd(
+                reachU, hn::Abs(acrossU), hn::MulAdd(reachV, hn::Abs(acrossV), widest));
+            // Not told apart: what is not a number.
+            Mask off = hn::Gt(hn::Abs(across), acrossReach);
+            off = hn::Or(off, hn::Lt(hn::Add(along, alongReach), hn::Neg(rounding)));
+            off = hn::Or(off, hn::Gt(hn::Sub(along, alongReach), one));
+            which[group] |= (~bitsOf(off) & ((1u << hn::Lanes(d)) - 1)) << i;
+        }
     }
-    return found;
+    for (int group = 0; group < rays_.groups; ++group) {
+        const int row = rays_.row(lane, group);
+        if (rays_.open[row] != 0 && (which[group] & found))
+            crossRow(row, seen, which[group] & found);
+    }
 }
 
 /// Adds the depths of some segments to the rays of a row that pass through them.
-void HairWalk::cross(int row, const SeenSegments& seen, std::uint32_t which) {
+void HairWalk::crossRow(int row, const SeenSegments& seen, std::uint32_t which) {
     const Floats d;
     const Vec one = hn::Set(d, 1.0f), zero = hn::Zero(d);
     for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
