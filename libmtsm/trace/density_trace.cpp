@@ -180,14 +180,23 @@ class Kernel {
         return hn::Add(hn::ShiftLeft<kShift>(row), hn::And(x, inTile));
     }
 
-    /// Do the texels' slabs reach into [low, high]?
+    /// Do the texels' slabs reach into [low, high]? If in doubt, yes.
     template <class V, class VI>
     auto meets(const DensityLevel& texels, VI texel, V low, V high) const {
         const Floats d;
-        const VI word = hn::ShiftLeft<2>(texel);
-        const DensityTexel& first = texels.texels[0];
-        return hn::And(hn::Lt(low, hn::GatherIndex(d, &first.high, word)),
-                       hn::Gt(high, hn::GatherIndex(d, &first.low, word)));
+        const Ints di;
+        static_assert(sizeof(DensityTexel) == 8);
+        const auto* const first =
+            reinterpret_cast<const std::int32_t*>(&texels.texels[0].range);
+        const VI range = hn::GatherIndex(di, first, hn::ShiftLeft<1>(texel));
+        const hn::RebindToUnsigned<Floats> du;
+        const auto at = [&](auto steps) {
+            return hn::MulAdd(hn::ConvertTo(d, hn::BitCast(di, steps)),
+                              hn::Set(d, texels.step), hn::Set(d, texels.base));
+        };
+        const auto bits = hn::BitCast(du, range);
+        return hn::And(hn::Lt(low, at(hn::ShiftRight<16>(bits))),
+                       hn::Gt(high, at(hn::And(bits, hn::Set(du, 0xffffu)))));
     }
 
     template <class V, class VI, class M>
@@ -475,18 +484,20 @@ void Kernel::answerMedia(int level) {
     const hn::RebindToUnsigned<Floats> du;
     const auto upper = hn::Set(du, DensityLevel::kLengthBits);
     const std::uint32_t channels = tree_.channels();
+    const int wordShift = channels == 3 ? 2 : 1;  // of a slab
     for (int h = 0; h < hits.count; ++h) {
-        const DensityTexel texel = texels.texels[std::size_t(hits.texel[h])];
-        const std::uint32_t* list = texels.slabs.data() + texel.begin;
+        const auto texel = std::size_t(hits.texel[h]);
+        const std::uint32_t* list = texels.slabs.data() + texels.texels[texel].begin;
+        const std::uint32_t count = texels.words(texel) >> wordShift;
         const auto low = hn::Set(d, hits.low[h]), high = hn::Set(d, hits.high[h]);
         const int ray = hits.ray[h];
         beginSums(ray);
-        for (std::uint32_t k = 0; k < texel.count; k += lanes) {
+        for (std::uint32_t k = 0; k < count; k += lanes) {
             const std::uint32_t* at = list + k;
-            const auto valid = hn::FirstN(du, texel.count - k);
+            const auto valid = hn::FirstN(du, count - k);
             const auto slab =
                 hn::BitCast(d, hn::IfThenElseZero(valid, hn::LoadU(du, at)));
-            const auto bits = hn::IfThenElseZero(valid, hn::LoadU(du, at += texel.count));
+            const auto bits = hn::IfThenElseZero(valid, hn::LoadU(du, at += count));
             const auto length = hn::BitCast(d, hn::ShiftRight<1>(hn::And(bits, upper)));
             const auto from = hn::Max(low, slab);
             const auto to = hn::Min(high, hn::Add(slab, length));
@@ -498,7 +509,7 @@ void Kernel::answerMedia(int level) {
             add(hn::ShiftLeft<DensityLevel::kDensityShift>(hn::AndNot(upper, bits)),
                 march_.sum[0][ray]);
             for (std::uint32_t c = 1; c < channels; ++c)
-                add(hn::IfThenElseZero(valid, hn::LoadU(du, at += texel.count)),
+                add(hn::IfThenElseZero(valid, hn::LoadU(du, at += count)),
                     march_.sum[c][ray]);
         }
     }
@@ -522,9 +533,11 @@ void Kernel::answerSheets(int level) {
     // is wider, that would darken (tests/shadow/ray_test.cpp).
     const auto blocks = hn::Set(d, level == 0 ? 0.5f * kDarkDepth : HUGE_VALF);
     const DensityLevel& texels = tree_.sheets().levels[std::size_t(level)];
+    const int wordShift = channels == 3 ? 2 : 1;  // of a slab
     for (int h = 0; h < hits.count; ++h) {
-        const DensityTexel texel = texels.texels[std::size_t(hits.texel[h])];
-        const std::uint32_t* list = texels.slabs.data() + texel.begin;
+        const auto texel = std::size_t(hits.texel[h]);
+        const std::uint32_t* list = texels.slabs.data() + texels.texels[texel].begin;
+        const std::uint32_t count = texels.words(texel) >> wordShift;
         const int ray = hits.ray[h];
         beginSums(ray);
         const bool straightOn = hits.step[h] == march_.lastStep[ray] + 1;
@@ -544,11 +557,10 @@ void Kernel::answerSheets(int level) {
         // [channel]: depths met, and of those near the way in.
         float depthMet[3] = {}, depthNear[3] = {};
         bool any = false;
-        for (std::uint32_t k = 0; k < texel.count; k += lanes) {
-            const auto valid = hn::FirstN(du, texel.count - k);
+        for (std::uint32_t k = 0; k < count; k += lanes) {
+            const auto valid = hn::FirstN(du, count - k);
             const auto plane = [&](std::uint32_t n) {
-                return hn::IfThenElseZero(valid,
-                                          hn::LoadU(du, list + k + n * texel.count));
+                return hn::IfThenElseZero(valid, hn::LoadU(du, list + k + n * count));
             };
             const auto slab = hn::BitCast(d, plane(0));
             const auto bits = plane(1);
@@ -720,7 +732,7 @@ class Glance {
         for (int waiting = 1, looks = 0; waiting > 0; ++looks) {
             const Node node = stack[--waiting];
             const DensityLevel& level = pyramid.levels[node.level];
-            const DensityTexel& texel = level.texel(node.x, node.y);
+            const std::size_t texel = level.at(node.x, node.y);
             const float side = std::ldexp(1.0f, int(node.level));
             float most = 0.0f;
             // Of a sheet the bias is that where a ray leaves the texel or enters it:
@@ -728,9 +740,9 @@ class Glance {
             const float reach =
                 sheets ? side * (2.0f * std::max(biasAt(1.1f * pyramid.high),
                                                  biasAt(1.1f * pyramid.low)) +
-                                 movedAt(texel.high))
-                       : biasAt(texel.high);
-            if (!isMet(node, texel, 1.01f * reach, most)) continue;
+                                 movedAt(level.high(texel)))
+                       : biasAt(level.high(texel));
+            if (!isMet(node, level, texel, 1.01f * reach, most)) continue;
             if (node.level <= tree_.finest() || looks == kMostLooks ||
                 side <= 1.01f * part * hull_.spread * most)
                 return true;
@@ -746,12 +758,14 @@ class Glance {
     }
 
     /// `reach`: what it is met within; `most`: how far above the lowest start; both w.
-    bool isMet(Node node, const DensityTexel& texel, float reach, float& most) const {
-        if (!(texel.low <= texel.high)) return false;  // empty
-        most = texel.high + reach - hull_.wLow;
+    bool isMet(Node node, const DensityLevel& level, std::size_t texel, float reach,
+               float& most) const {
+        if (level.texels[texel].range == DensityTexel::kEmpty) return false;
+        const float low = level.low(texel), high = level.high(texel);
+        most = high + reach - hull_.wLow;
         const float least =
-            std::max(0.0f, std::max(texel.low - reach, hull_.wFirst) - hull_.wHigh);
-        if (!(texel.high + reach >= hull_.wFirst)) return false;
+            std::max(0.0f, std::max(low - reach, hull_.wFirst) - hull_.wHigh);
+        if (!(high + reach >= hull_.wFirst)) return false;
         const float side = std::ldexp(1.0f, int(node.level));
         return crosses(float(node.x) * side, side, hull_.uLow, hull_.uHigh,
                        hull_.slopeLowU, hull_.slopeHighU, least, most) &&

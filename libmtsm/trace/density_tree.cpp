@@ -97,11 +97,18 @@ Slab<kChannels> decode(const std::array<std::uint32_t, wordsOf(kChannels)>& word
     return slab;
 }
 
+/// A texel before its level is whole.
+struct LooseTexel {
+    float low = HUGE_VALF, high = -HUGE_VALF;  // w between which the slabs lie
+    std::uint32_t words = 0;
+};
+
 /// Appends a list of slabs as a level keeps it; says where they lie.
 template <std::uint32_t kChannels>
-DensityTexel pack(const Slabs<kChannels>& list, std::vector<std::uint32_t>& out) {
+LooseTexel pack(const Slabs<kChannels>& list, std::vector<std::uint32_t>& out) {
     const std::size_t begin = out.size(), n = list.size();
-    DensityTexel texel{HUGE_VALF, -HUGE_VALF, 0, std::uint32_t(n)};
+    LooseTexel texel;
+    texel.words = std::uint32_t(n * wordsOf(kChannels));
     out.resize(begin + n * wordsOf(kChannels));
     for (std::size_t i = 0; i < n; ++i) {
         const auto words = encode(list[i]);
@@ -115,12 +122,13 @@ DensityTexel pack(const Slabs<kChannels>& list, std::vector<std::uint32_t>& out)
 
 /// Appends the slabs of a texel.
 template <std::uint32_t kChannels>
-void unpack(const DensityLevel& level, const DensityTexel& texel, Slabs<kChannels>& out) {
-    const std::uint32_t* const list = level.slabs.data() + texel.begin;
-    for (std::size_t i = 0; i < texel.count; ++i) {
+void unpack(const DensityLevel& level, std::size_t texel, Slabs<kChannels>& out) {
+    const std::uint32_t* const list = level.slabs.data() + level.texels[texel].begin;
+    const std::size_t count = level.words(texel) / wordsOf(kChannels);
+    for (std::size_t i = 0; i < count; ++i) {
         std::array<std::uint32_t, wordsOf(kChannels)> words;
         for (std::size_t k = 0; k < words.size(); ++k)
-            words[k] = list[k * texel.count + i];
+            words[k] = list[k * count + i];
         out.push_back(decode<kChannels>(words));
     }
 }
@@ -322,7 +330,7 @@ float depthThatTakes(float taken) {
 
 /// Some rows of texels.
 struct Rows {
-    std::vector<DensityTexel> texels;  // `begin` is not known yet
+    std::vector<LooseTexel> texels;
     std::vector<std::uint32_t> slabs;
 
     template <std::uint32_t kChannels>
@@ -331,13 +339,40 @@ struct Rows {
     }
 };
 
+/// Says what the steps of a level are: from a step below all slabs to one above, which is
+/// more than rounding hides.
+void setSteps(float low, float high, DensityLevel& level) {
+    constexpr float kSteps = 65535.0f, kOutside = 3.0f;
+    level.step = std::max((high - low) / (kSteps - kOutside),
+                          0x1p-20f * std::max(std::abs(low), std::abs(high)));
+    level.step = std::max(level.step, 1e-30f);
+    level.base = low - level.step;
+}
+
+std::uint32_t rangeOf(const LooseTexel& texel, const DensityLevel& level) {
+    if (texel.words == 0) return DensityTexel::kEmpty;
+    const auto steps = [&](float w) { return (w - level.base) / level.step; };
+    const float low = std::floor(steps(texel.low) - 0.5f);
+    const float high = std::ceil(steps(texel.high) + 0.5f);
+    return std::uint32_t(std::clamp(low, 0.0f, 65535.0f)) |
+           std::uint32_t(std::clamp(high, 0.0f, 65535.0f)) << 16;
+}
+
 /// Puts the rows of all tasks together; false if they are too much.
-bool assemble(std::vector<Rows>& tasks, std::uint32_t channels, DensityLevel& level) {
+bool assemble(std::vector<Rows>& tasks, DensityLevel& level) {
     std::vector<std::uint64_t> first(tasks.size() + 1, 0);
-    for (std::size_t t = 0; t < tasks.size(); ++t)
+    float low = HUGE_VALF, high = -HUGE_VALF;
+    for (std::size_t t = 0; t < tasks.size(); ++t) {
         first[t + 1] = first[t] + tasks[t].slabs.size();
+        for (const LooseTexel& texel : tasks[t].texels) {
+            low = std::min(low, texel.low);
+            high = std::max(high, texel.high);
+        }
+    }
     if (first.back() > std::numeric_limits<std::uint32_t>::max() - kLanes) return false;
-    level.texels.resize(std::size_t(level.tilesX()) * level.tilesY() * 64);
+    if (low < high) setSteps(low, high, level);
+    level.texels.resize(std::size_t(level.tilesX()) * level.tilesY() * 64 + 1);
+    level.texels.back().begin = std::uint32_t(first.back());
     level.slabs.resize(first.back() + kLanes);
     base::parallelFor(std::size_t(0), tasks.size(), [&](std::size_t task) {
         Rows& rows = tasks[task];
@@ -345,10 +380,9 @@ bool assemble(std::vector<Rows>& tasks, std::uint32_t channels, DensityLevel& le
                   level.slabs.begin() + std::ptrdiff_t(first[task]));
         std::uint64_t begin = first[task];
         std::size_t to = task * kTileRowsPerTask * level.tilesX() * 64;
-        for (DensityTexel texel : rows.texels) {
-            texel.begin = std::uint32_t(begin);
-            begin += texel.count * wordsOf(channels);
-            level.texels[to++] = texel;
+        for (const LooseTexel& texel : rows.texels) {
+            level.texels[to++] = {rangeOf(texel, level), std::uint32_t(begin)};
+            begin += texel.words;
         }
         rows = {};
     });
@@ -375,7 +409,7 @@ bool makeLevel(DensityLevel& level, const MakeTexels& makeTexels) {
             }
         }
     });
-    return assemble(tasks, kChannels, level);
+    return assemble(tasks, level);
 }
 
 template <std::uint32_t kChannels>
@@ -584,7 +618,7 @@ bool makeCoarser(const DensityLevel& fine, Limits limits, DensityLevel& level) {
             for (std::uint32_t v = 2 * y; v < std::min(2 * y + 2, fine.height); ++v) {
                 for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, fine.width); ++u) {
                     merger.add([&](Slabs<kChannels>& list) {
-                        unpack(fine, fine.texel(u, v), list);
+                        unpack(fine, fine.at(u, v), list);
                     });
                 }
             }
@@ -627,12 +661,8 @@ bool makePyramid(const ShadowMap& map, std::uint32_t face, Kind kind,
         pyramid = {};
         return true;
     }
-    pyramid.low = HUGE_VALF;
-    pyramid.high = -HUGE_VALF;
-    for (const DensityTexel& texel : pyramid.levels.back().texels) {
-        pyramid.low = std::min(pyramid.low, texel.low);
-        pyramid.high = std::max(pyramid.high, texel.high);
-    }
+    pyramid.low = pyramid.levels.back().base;
+    pyramid.high = pyramid.low + 65535.0f * pyramid.levels.back().step;
     while (pyramid.levels.back().width > 1 || pyramid.levels.back().height > 1) {
         const auto i = std::uint32_t(pyramid.levels.size());
         DensityLevel level;
