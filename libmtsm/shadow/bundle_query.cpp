@@ -31,8 +31,10 @@ constexpr double kNearWidth = 8.0;
 constexpr double kNearMost = 256.0;
 constexpr float kSmallPiece = 20.0f;  // samples
 /// Beside hair it answers until the light, from where the ray is, is so many pixels wide
-/// through the receiver; for at most and at least so many footprints of depth.
-constexpr double kHairWidth = 8.0;
+/// through the receiver, or neighbouring rays are so many pixels apart: few rays are
+/// better off with what texels filter. For at most and at least so many footprints of
+/// depth.
+constexpr double kHairWidth = 8.0, kHairLeastWidth = 3.0, kHairApart = 0.4;
 constexpr double kHairMost = 256.0, kHairLeast = 2.0;
 /// Strands begin to count so many footprints above a receiver without a normal.
 constexpr double kHairStart = 0.02;
@@ -66,6 +68,11 @@ double nearHeightOf(const ShadowMap& map) noexcept {
     return height;
 }
 
+double hairWidth(std::uint32_t samples) noexcept {
+    return std::clamp(kHairApart * std::sqrt(double(samples)), kHairLeastWidth,
+                      kHairWidth);
+}
+
 LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& light,
                              const ShadowOptions& options, bool near, double nearMost,
                              bool normals, std::optional<std::uint32_t> onlyKey) {
@@ -81,7 +88,9 @@ LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& li
     if (near) {
         const bool sheets = !map.nearSheets(0).empty(), hair = !map.isOpaque();
         setting.nearDepth = sheets ? kSheetMost : nearMost;
-        setting.nearWidth = sheets ? kSheetWidth : hair ? kHairWidth : kNearWidth;
+        setting.nearWidth = sheets ? kSheetWidth
+                            : hair ? hairWidth(setting.samples)
+                                   : kNearWidth;
         setting.nearLeast = sheets ? kSheetLeast : hair ? kHairLeast : kNearDepth;
         setting.nearHeight = nearHeightOf(map);
         setting.nearStart = kNearStart;
