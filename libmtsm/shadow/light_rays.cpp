@@ -284,6 +284,10 @@ class Starts {
         for (int group = 0; group < in_.groups; ++group) {
             Slopes slopes = Slopes::none();
             addSlopes(in_.points.groups[std::size_t(in_.firstGroup + group)], slopes);
+            hn::Store(slopes.lowU, kF, bundle_.partLowU[group] + first_);
+            hn::Store(slopes.highU, kF, bundle_.partHighU[group] + first_);
+            hn::Store(slopes.lowV, kF, bundle_.partLowV[group] + first_);
+            hn::Store(slopes.highV, kF, bundle_.partHighV[group] + first_);
             const auto include = [&](float& low, float& high, Vec lower, Vec higher) {
                 low = std::min(low, hn::GetLane(hn::MinOfLanes(kF, lower)));
                 high = std::max(high, hn::GetLane(hn::MaxOfLanes(kF, higher)));

@@ -319,6 +319,10 @@ class RayQuery::Bundle {
                 low = isFirst ? a : std::min(low, a);
                 high = isFirst ? b : std::max(high, b);
             };
+            bundle_.partLowU[group][receiver] = s.lowU;
+            bundle_.partHighU[group][receiver] = s.highU;
+            bundle_.partLowV[group][receiver] = s.lowV;
+            bundle_.partHighV[group][receiver] = s.highV;
             include(bundle_.groupLowU[group], bundle_.groupHighU[group], s.lowU, s.highU);
             include(bundle_.groupLowV[group], bundle_.groupHighV[group], s.lowV, s.highV);
         }

@@ -50,6 +50,11 @@ struct RayBundle {
     /// [group]: the slopes of the rays of all receivers, if there are several groups.
     alignas(64) float groupLowU[kMostRows], groupHighU[kMostRows];
     alignas(64) float groupLowV[kMostRows], groupHighV[kMostRows];
+    /// [group][receiver]: those of one receiver, if there are several groups.
+    alignas(64) float partLowU[kMostRows][kMostReceivers];
+    alignas(64) float partHighU[kMostRows][kMostReceivers];
+    alignas(64) float partLowV[kMostRows][kMostReceivers];
+    alignas(64) float partHighV[kMostRows][kMostReceivers];
 
     // How coarsely rays may be answered.
     /// [receiver]: distance between neighbouring rays, pixels, per w that they are away

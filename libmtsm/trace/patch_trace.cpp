@@ -103,6 +103,14 @@ HWY_INLINE hn::Mask<Floats> crosses(Vec side0, Vec side1, Vec startLow, Vec star
                    hn::Ge(hn::Add(startHigh, high), side0));
 }
 
+/// The same of rays that start in one place each: sides are so far away from it.
+HWY_INLINE hn::Mask<Floats> crosses(Vec side0, Vec side1, Vec slopeLow, Vec slopeHigh,
+                                    Vec least, Vec most) {
+    const Vec low = hn::Min(hn::Mul(slopeLow, least), hn::Mul(slopeLow, most));
+    const Vec high = hn::Max(hn::Mul(slopeHigh, least), hn::Mul(slopeHigh, most));
+    return hn::And(hn::Le(low, side1), hn::Ge(high, side0));
+}
+
 /// Which patches of four groups, of a vector from number `first` on, a ray of the hull
 /// can meet; `wide`: all that there are. `margin`: PatchTree's.
 HWY_INLINE std::uint32_t meet(const RayHull& hull, bool wide, float margin,
@@ -299,14 +307,10 @@ class Traversal {
             const Vec lowest = hn::Sub(set(p.low), w);
             const Vec least = hn::Max(lowest, rise), most = hn::Sub(set(p.high), w);
             auto met16 = hn::Ge(most, rise);
-            const auto crosses = [&](Vec away, Vec half, Vec low, Vec high) {
-                const Vec nearest = hn::Min(hn::Mul(low, least), hn::Mul(low, most));
-                const Vec furthest = hn::Max(hn::Mul(high, least), hn::Mul(high, most));
-                return hn::And(hn::Le(nearest, hn::Add(away, half)),
-                               hn::Ge(furthest, hn::Sub(away, half)));
-            };
-            met16 = hn::And(met16, crosses(awayU, halfU, lowU, highU));
-            met16 = hn::And(met16, crosses(awayV, halfV, lowV, highV));
+            met16 = hn::And(met16, crosses(hn::Sub(awayU, halfU), hn::Add(awayU, halfU),
+                                           lowU, highU, least, most));
+            met16 = hn::And(met16, crosses(hn::Sub(awayV, halfV), hn::Add(awayV, halfV),
+                                           lowV, highV, least, most));
             // Height at the box's centre, and how it changes along the patch's plane.
             Vec above = hn::MulAdd(b, awayV, hn::Mul(a, awayU));
             above = hn::MulAdd(c, hn::Sub(set(p.w), w), above);
@@ -374,7 +378,8 @@ class Traversal {
 
     /// As many rays of one receiver as fill a vector.
     struct Batch {
-        float startU, startV, startW;
+        float u, v;  ///< the start's place in the patch: texels from the tile's corner
+        float rise;  ///< of the patch's plane above the start, there, w
         Vec du, dv, dw, begin;
         std::uint32_t open;
         const std::uint8_t* threshold;
@@ -386,6 +391,8 @@ class Traversal {
         const CoverPlane* cover;
         float cornerU, cornerV, perTexel;
         std::uint32_t number;
+        /// [receiver]: as Batch has them.
+        alignas(64) float u[kMostReceivers], v[kMostReceivers], rise[kMostReceivers];
     };
 
     enum class Kind { whole, sheet, bumpy };
@@ -393,25 +400,22 @@ class Traversal {
     /// those that surely go through it; the patch's children still count for the others.
     template <Kind kKind>
     void test(const Patch& p, std::uint64_t groups, std::uint32_t lanes) {
-        const auto texel = float(1u << p.level);
-        const float side = kTexels * texel;
-        const Seen seen{p,
-                        tree_.covers() + p.cover,
-                        std::floor(p.u / side) * side,
-                        std::floor(p.v / side) * side,
-                        1.0f / texel,
-                        (p.cover * 0x9e3779b1u) >> 28};
-        for (lanes &= lanes_; lanes; lanes &= lanes - 1) {
-            const int receiver = std::countr_zero(lanes);
-            Batch batch;
-            batch.startU = bundle_.u[receiver], batch.startV = bundle_.v[receiver];
-            batch.startW = bundle_.w[receiver];
-            bool closed = false;
-            for (std::uint64_t left = groups; left; left &= left - 1) {
-                const int row = bundle_.row(receiver, std::countr_zero(left));
+        Seen seen =
+            seenBy(p, kKind == Kind::bumpy ? BumpPlane::kSide : kTexels << p.level);
+        std::uint32_t closed = 0;
+        for (std::uint64_t left = groups; left; left &= left - 1) {
+            const int group = std::countr_zero(left);
+            std::uint32_t some = lanes & lanes_;
+            if (bundle_.groups > 1) some &= lanesMet(p, group);
+            for (; some; some &= some - 1) {
+                const int receiver = std::countr_zero(some);
+                const int row = bundle_.row(receiver, group);
                 for (int k = 0; k < kLanes; k += kN) {
+                    Batch batch;
                     batch.open = (std::uint32_t(bundle_.open[row]) >> k) & kAll;
                     if (batch.open == 0) continue;
+                    batch.u = seen.u[receiver], batch.v = seen.v[receiver];
+                    batch.rise = seen.rise[receiver];
                     batch.du = hn::Load(kF, bundle_.du[row] + k);
                     batch.dv = hn::Load(kF, bundle_.dv[row] + k);
                     batch.dw = hn::Load(kF, bundle_.dw[row] + k);
@@ -425,18 +429,68 @@ class Traversal {
                     else
                         hits = met(seen, batch);
                     bundle_.open[row] &= std::uint16_t(~(hits << k));
-                    closed = closed || hits == batch.open;
+                    closed |= std::uint32_t(hits == batch.open) << receiver;
                 }
             }
-            if (closed && !anyOpen(receiver)) lanes_ &= std::uint16_t(~(1u << receiver));
+        }
+        for (; closed; closed &= closed - 1) {
+            const int receiver = std::countr_zero(closed);
+            if (!anyOpen(receiver)) lanes_ &= std::uint16_t(~(1u << receiver));
         }
     }
 
-    /// The depth of the patch's plane over the start, above it.
-    static float riseAt(const Seen& p, const Batch& r) {
-        return p.patch.w - r.startW + p.patch.gradientU * (r.startU - p.patch.u) +
-               p.patch.gradientV * (r.startV - p.patch.v);
+    /// `side`: of the square in which its texels are counted, pixels.
+    Seen seenBy(const Patch& p, int side) const {
+        const auto texel = float(1u << p.level), square = float(side);
+        Seen seen{p,
+                  tree_.covers() + p.cover,
+                  std::floor(p.u / square) * square,
+                  std::floor(p.v / square) * square,
+                  1.0f / texel,
+                  (p.cover * 0x9e3779b1u) >> 28,
+                  {},
+                  {},
+                  {}};
+        const auto set = [](float x) { return hn::Set(kF, x); };
+        for (int k = 0; k < kMostReceivers; k += kN) {
+            const Vec u = hn::Load(kF, bundle_.u + k), v = hn::Load(kF, bundle_.v + k);
+            Vec rise = hn::Sub(set(p.w), hn::Load(kF, bundle_.w + k));
+            rise = hn::MulAdd(set(p.gradientU), hn::Sub(u, set(p.u)), rise);
+            rise = hn::MulAdd(set(p.gradientV), hn::Sub(v, set(p.v)), rise);
+            hn::Store(rise, kF, seen.rise + k);
+            hn::Store(hn::Mul(hn::Sub(u, set(seen.cornerU)), set(seen.perTexel)), kF,
+                      seen.u + k);
+            hn::Store(hn::Mul(hn::Sub(v, set(seen.cornerV)), set(seen.perTexel)), kF,
+                      seen.v + k);
+        }
+        return seen;
     }
+
+    /// Receivers some of whose rays of the group may meet the patch.
+    std::uint32_t lanesMet(const Patch& p, int group) const {
+        const auto set = [](float x) { return hn::Set(kF, x); };
+        const Vec halfU = set(p.halfU + tree_.margin());
+        const Vec halfV = set(p.halfV + tree_.margin());
+        std::uint32_t met = bundle_.wide;
+        for (int k = 0; k < kMostReceivers; k += kN) {
+            const auto load = [k](const float* x) { return hn::Load(kF, x + k); };
+            const Vec w = load(bundle_.w);
+            const Vec least = hn::Max(hn::Sub(set(p.low), w), load(bundle_.rise));
+            const Vec most = hn::Sub(set(p.high), w);
+            const Vec awayU = hn::Sub(set(p.u), load(bundle_.u));
+            const Vec awayV = hn::Sub(set(p.v), load(bundle_.v));
+            const auto met16 =
+                hn::And(crosses(hn::Sub(awayU, halfU), hn::Add(awayU, halfU),
+                                load(bundle_.partLowU[group]),
+                                load(bundle_.partHighU[group]), least, most),
+                        crosses(hn::Sub(awayV, halfV), hn::Add(awayV, halfV),
+                                load(bundle_.partLowV[group]),
+                                load(bundle_.partHighV[group]), least, most));
+            met |= bitsOf(met16) << k;
+        }
+        return met;
+    }
+
     /// One over how fast the rays come nearer to the patch's plane.
     static Vec perApproach(const Seen& p, const Batch& r) {
         const Vec speed = hn::NegMulAdd(hn::Set(kF, p.patch.gradientU), r.du, r.dw);
@@ -445,12 +499,12 @@ class Traversal {
 
     /// Rays that go from below a sheet to above it within its box.
     static std::uint32_t through(const Seen& p, const Batch& r) {
-        const float rise = riseAt(p, r), residual = p.patch.residual;
+        const float residual = p.patch.residual, texel = 1.0f / p.perTexel;
         const Vec inverse = perApproach(p, r);
-        const Vec s0 = hn::Mul(hn::Set(kF, rise - residual), inverse);
-        const Vec s1 = hn::Mul(hn::Set(kF, rise + residual), inverse);
-        const Vec u0 = hn::Set(kF, r.startU - p.patch.u);
-        const Vec v0 = hn::Set(kF, r.startV - p.patch.v);
+        const Vec s0 = hn::Mul(hn::Set(kF, r.rise - residual), inverse);
+        const Vec s1 = hn::Mul(hn::Set(kF, r.rise + residual), inverse);
+        const Vec u0 = hn::Set(kF, r.u * texel + (p.cornerU - p.patch.u));
+        const Vec v0 = hn::Set(kF, r.v * texel + (p.cornerV - p.patch.v));
         const Vec halfU = hn::Set(kF, p.patch.halfU), halfV = hn::Set(kF, p.patch.halfV);
         auto hit = hn::And(hn::Gt(s0, r.begin), hn::Le(s1, hn::Set(kF, 1.0f)));
         hit = hn::And(hit, hn::Gt(inverse, hn::Zero(kF)));
@@ -463,11 +517,10 @@ class Traversal {
 
     /// Rays that meet the patch's plane where it is covered.
     std::uint32_t met(const Seen& p, const Batch& r) const {
-        const Vec s = hn::Mul(hn::Set(kF, riseAt(p, r)), perApproach(p, r));
-        const Vec scale = hn::Set(kF, p.perTexel), step = hn::Mul(s, scale);
-        const Vec u0 = hn::Set(kF, (r.startU - p.cornerU) * p.perTexel);
-        const Vec v0 = hn::Set(kF, (r.startV - p.cornerV) * p.perTexel);
-        const Vec u = hn::MulAdd(r.du, step, u0), v = hn::MulAdd(r.dv, step, v0);
+        const Vec s = hn::Mul(hn::Set(kF, r.rise), perApproach(p, r));
+        const Vec step = hn::Mul(s, hn::Set(kF, p.perTexel));
+        const Vec u = hn::MulAdd(r.du, step, hn::Set(kF, r.u));
+        const Vec v = hn::MulAdd(r.dv, step, hn::Set(kF, r.v));
         const Vec none = hn::Zero(kF), all = hn::Set(kF, float(kTexels));
         auto hit = hn::And(hn::Gt(s, r.begin), hn::Le(s, hn::Set(kF, 1.0f)));
         hit = hn::And(hit, hn::And(hn::Ge(u, none), hn::Lt(u, all)));
@@ -488,20 +541,17 @@ class Traversal {
     std::uint32_t metBumps(const Seen& p, const Batch& r) const {
         const BumpPlane bumps = std::bit_cast<BumpPlane>(*p.cover);
         const Vec inverse = perApproach(p, r);
-        const float rise = riseAt(p, r), perStep = p.patch.residual / BumpPlane::kSteps;
-        constexpr float kSide = BumpPlane::kSide;
-        const float u0 = r.startU - std::floor(p.patch.u / kSide) * kSide;
-        const float v0 = r.startV - std::floor(p.patch.v / kSide) * kSide;
+        const float perStep = p.patch.residual / BumpPlane::kSteps;
         const Vec none = hn::Zero(kF), one = hn::Set(kF, 1.0f);
         auto hit = hn::Gt(none, one);
         for (int t = 0; t < BumpPlane::kSide * BumpPlane::kSide; ++t) {
             if (bumps.offset[t] == BumpPlane::kNone) continue;
-            const float above = rise + perStep * float(bumps.offset[t]);
+            const float above = r.rise + perStep * float(bumps.offset[t]);
             const Vec s = hn::Mul(hn::Set(kF, above), inverse);
             const Vec u =
-                hn::MulAdd(r.du, s, hn::Set(kF, u0 - float(t % BumpPlane::kSide)));
+                hn::MulAdd(r.du, s, hn::Set(kF, r.u - float(t % BumpPlane::kSide)));
             const Vec v =
-                hn::MulAdd(r.dv, s, hn::Set(kF, v0 - float(t / BumpPlane::kSide)));
+                hn::MulAdd(r.dv, s, hn::Set(kF, r.v - float(t / BumpPlane::kSide)));
             auto inside = hn::And(hn::Gt(s, r.begin), hn::Le(s, one));
             inside = hn::And(inside, hn::And(hn::Ge(u, none), hn::Lt(u, one)));
             inside = hn::And(inside, hn::And(hn::Ge(v, none), hn::Lt(v, one)));

@@ -184,7 +184,7 @@ def main():
         sys.exit(f"bench.py: no results.json in {folder}/bench-SCENE{quick}; run samples/paper/bench.sh first")
     machine = scenes[0].all["machine"]
     print(f"# Ahead of Embree?\n{machine['processor']}, {machine['software']}; one thread"
-          f"{'; small pictures and few settings: a first look' if quick else ''}.\n")
+          f"{'; few settings, each timed three times' if quick else ''}.\n")
     equal_samples(scenes)
     equal_error(scenes, "one point a pixel")
     equal_error(pixels, "16 points a pixel")

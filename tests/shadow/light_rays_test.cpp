@@ -70,6 +70,8 @@ TEST_CASE("rays go sideways within their bundle's bounds, however deep they star
                     if (bundle.groups == 1) continue;
                     check(du, bundle.groupLowU[row], bundle.groupHighU[row]);
                     check(dv, bundle.groupLowV[row], bundle.groupHighV[row]);
+                    check(du, bundle.partLowU[row][0], bundle.partHighU[row][0]);
+                    check(dv, bundle.partLowV[row][0], bundle.partHighV[row][0]);
                 }
             }
             INFO(name(shape) << " from " << p.x << " " << p.y << " " << p.z);

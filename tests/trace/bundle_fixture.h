@@ -157,8 +157,13 @@ struct Rays {
     void boundGroup(int group) {
         Bounds bounds;
         for (int receiver = 0; receiver < bundle.receivers; ++receiver) {
-            if (!(bundle.wide >> receiver & 1))
-                bounds = boundsOf(bundle.row(receiver, group), bounds);
+            if (bundle.wide >> receiver & 1) continue;
+            const Bounds own = boundsOf(bundle.row(receiver, group), {});
+            bundle.partLowU[group][receiver] = lower(own.lowU);
+            bundle.partHighU[group][receiver] = higher(own.highU);
+            bundle.partLowV[group][receiver] = lower(own.lowV);
+            bundle.partHighV[group][receiver] = higher(own.highV);
+            bounds = boundsOf(bundle.row(receiver, group), bounds);
         }
         if (bounds.lowU > bounds.highU) bounds = {0.0, 0.0, 0.0, 0.0};
         bundle.groupLowU[group] = lower(bounds.lowU);

@@ -5,8 +5,8 @@
 #include <tbb/version.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
+#include <ctime>
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
@@ -21,7 +21,6 @@ namespace mtsm::tools {
 namespace {
 
 using baseline::Picture;
-using Clock = std::chrono::steady_clock;
 using Json = nlohmann::ordered_json;
 
 /// To be raised with every change of what the reference answers.
@@ -31,9 +30,27 @@ constexpr std::size_t kTruthPixels = std::size_t(1) << 15;  // in a file of the 
 constexpr double kShortest = 0.02;  // s: what takes less is done several times
 constexpr double kLong = 10.0;      // s: what takes more is done fewer times
 
-double since(Clock::time_point start) {
-    return std::chrono::duration<double>(Clock::now() - start).count();
-}
+/// What has passed since it was made: with one thread processor time of the calling
+/// thread, which does all the work then, so that what else the machine does matters
+/// little; with several by the clock.
+class Stopwatch {
+  public:
+    explicit Stopwatch(int threads)
+        : clock_(threads == 1 ? CLOCK_THREAD_CPUTIME_ID : CLOCK_MONOTONIC),
+          start_(now()) {}
+
+    [[nodiscard]] double seconds() const { return now() - start_; }
+
+  private:
+    [[nodiscard]] double now() const {
+        timespec t{};
+        clock_gettime(clock_, &t);
+        return double(t.tv_sec) + 1e-9 * double(t.tv_nsec);
+    }
+
+    clockid_t clock_;
+    double start_;
+};
 
 Timing timingOf(std::vector<double> seconds) {
     std::sort(seconds.begin(), seconds.end());
@@ -124,7 +141,7 @@ void Session::findTruth(std::size_t light) {
     baseline::ReferenceOptions options;
     options.samples = options_.truthSamples;
     result.truthCached = true;
-    const auto start = Clock::now();
+    const Stopwatch watch(0);
     std::vector<float> points(picture.points.size());
     const std::string what = "truth of light " + std::to_string(light + 1) + " of " +
                              std::to_string(lights_.size());
@@ -161,7 +178,7 @@ void Session::findTruth(std::size_t light) {
                                      {result.truth.begin() + std::ptrdiff_t(p),
                                       result.truth.begin() + std::ptrdiff_t(end)}));
     }
-    result.truthSeconds = since(start);
+    result.truthSeconds = watch.seconds();
     const auto [least, most] =
         std::minmax_element(result.truth.begin(), result.truth.end());
     const std::string name = "under light " + std::to_string(light + 1) + " (" +
@@ -190,10 +207,10 @@ Session::Built& Session::built(std::size_t light, const PlannedRun& run) {
     const auto build = [&](int threads) {
         made.method.reset();
         tbb::task_arena arena(threads);
-        const auto start = Clock::now();
+        const Stopwatch watch(threads);
         auto method =
             arena.execute([&] { return run.method->build(scene, run.settings); });
-        const double seconds = since(start);
+        const double seconds = watch.seconds();
         if (method)
             made.method = *std::move(method);
         else
@@ -234,7 +251,7 @@ double Session::timeOnce(std::size_t light, const RunResult& result, int threads
     const baseline::Method& method = *built_.at(key).method;
     std::vector<float> out(sample_.points.size());
     tbb::task_arena arena(threads);
-    const auto start = Clock::now();
+    const Stopwatch watch(threads);
     for (int i = 0; i < times; ++i) {
         const Status done = arena.execute([&] {
             return method.shadowFactors(scene_.lights()[light].light, sample_.receivers(),
@@ -242,7 +259,7 @@ double Session::timeOnce(std::size_t light, const RunResult& result, int threads
         });
         if (!done) throw Failure{done.error()};
     }
-    return since(start);
+    return watch.seconds();
 }
 
 /// The whole picture, which warms the method up.
@@ -252,7 +269,7 @@ void Session::answer(std::size_t light, RunResult& result, Built& method) {
     (void)talk_.progress("picture of " + run.label, -1.0);
     std::vector<float> out(picture.points.size());
     tbb::task_arena arena(options_.threads);
-    const auto start = Clock::now();
+    const Stopwatch watch(options_.threads);
     const Status done = arena.execute([&] {
         return method.method->shadowFactors(
             scene_.lights()[light].light, picture.receivers(), run.settings, out.data());
@@ -261,7 +278,7 @@ void Session::answer(std::size_t light, RunResult& result, Built& method) {
         fail(result, done.error());
         return;
     }
-    result.firstAnswer = since(start);
+    result.firstAnswer = watch.seconds();
     // What is timed on whole pictures takes too long to be done again and again.
     if (run.method->fixedCost) result.query.all = timingOf({result.firstAnswer});
     result.values = picture.pixelMeans(out);

@@ -41,7 +41,8 @@ struct Timing {
     int repeats = 0;
 };
 
-/// With one thread (nothing: that would have taken too long) and with all of them.
+/// With one thread (processor time; nothing: that would have taken too long) and with all
+/// of them (by the clock).
 struct Timings {
     std::optional<Timing> one, all;
 };
