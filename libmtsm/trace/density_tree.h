@@ -140,7 +140,7 @@ class DensityTree {
 };
 
 /// The finest level that rays of receivers need beside a near field, which answers until
-/// a pixel is an eighth of the light.
+/// a pixel is a third to an eighth of the light.
 inline constexpr std::uint32_t kFinestBesideNear = 1;
 
 enum class DensityUse {

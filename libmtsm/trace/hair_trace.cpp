@@ -318,8 +318,8 @@ void HairWalk::setUp(int receiver) {
     const auto reach = [&](int axis, float scale, float offset) {
         const float per = (view_.perspective ? w : 1.0f) / scale;
         const float aside = view_.perspective ? (start[axis] - offset) / scale : 0.0f;
-        const float x = std::max(std::abs(lows[axis] * per + aside),
-                                 std::abs(highs[axis] * per + aside));
+        const float x = std::max(std::abs(lows[axis] * per - aside),
+                                 std::abs(highs[axis] * per - aside));
         return 1.01f * std::abs(scale) * std::sqrt(1.0f + x * x);
     };
     reach_[0][receiver] = reach(0, view_.scaleU, view_.offsetU);
