@@ -34,7 +34,7 @@ constexpr float kSmallPiece = 20.0f;  // samples
 /// through the receiver, or neighbouring rays are so many pixels apart: few rays are
 /// better off with what texels filter. For at most and at least so many footprints of
 /// depth.
-constexpr double kHairWidth = 8.0, kHairLeastWidth = 3.0, kHairApart = 0.4;
+constexpr double kHairWidth = 8.0, kHairLeastWidth = 3.0, kHairApart = 0.5;
 constexpr double kHairMost = 256.0, kHairLeast = 2.0;
 /// Strands begin to count so many footprints above a receiver without a normal.
 constexpr double kHairStart = 0.02;
