@@ -63,7 +63,7 @@ struct RayBundle {
     /// [receiver]: no level above this one may answer.
     std::uint8_t topLevel[kMostReceivers];
     /// [row][lane]: a texel that is covered in part blocks the rays whose threshold
-    /// (0..15; exclusive or with a number of the patch) lies below its share.
+    /// (0..15; exclusive or with a number of the texel) lies within its share.
     std::uint8_t threshold[kMostRows][kLanes];
 
     /// [receiver]: tangent planes; nothing below them counts. A place is planeU (u -

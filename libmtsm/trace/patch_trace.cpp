@@ -64,7 +64,7 @@ constexpr int kMostLevels = 24;
 
 /// Groups that wait, with the receivers that they may still matter to.
 struct Waiting {
-    std::uint32_t group, groups;
+    PatchList list;
     std::uint16_t lanes;
 };
 
@@ -76,12 +76,13 @@ class Queue {
     [[nodiscard]] bool empty() const { return first_ == last_; }
     void push(Waiting w) { waiting_[last_++ % kSize] = w; }
     /// Takes one group.
-    std::uint32_t pop(std::uint16_t& lanes) {
+    std::uint32_t pop(std::uint32_t& slots, std::uint16_t& lanes) {
         const bool full = last_ - first_ > kSize / 2;
         Waiting& w = waiting_[(full ? last_ - 1 : first_) % kSize];
-        const std::uint32_t group = w.group++;
+        slots = w.list.slotsOf(0);
         lanes = w.lanes;
-        if (--w.groups == 0) full ? --last_ : ++first_;
+        const std::uint32_t group = w.list.group++;
+        if (--w.list.groups == 0) full ? --last_ : ++first_;
         return group;
     }
 
@@ -162,8 +163,7 @@ void enterTiles(const PatchTree& tree, const RayHull& hull, bool wide, std::size
     for (std::uint32_t y = place(v0, entry.rows); y <= place(v1, entry.rows); ++y) {
         for (std::uint32_t x = place(u0, entry.columns); x <= place(u1, entry.columns);
              ++x) {
-            const PatchTree::Entry& tile =
-                entry.tiles[std::size_t(y) * entry.columns + x];
+            const PatchList& tile = entry.tiles[std::size_t(y) * entry.columns + x];
             if (tile.groups > 0) take(tile);
         }
     }
@@ -232,8 +232,8 @@ class Traversal {
     /// were many, of a coarser one.
     void enter() {
         enterTiles(tree_, hull_, anyWide_, std::size_t(std::max(top_, 1)),
-                   [&](const PatchTree::Entry& tile) {
-                       queue_.push({tile.group, tile.groups, lanes_});
+                   [&](const PatchList& tile) {
+                       queue_.push({tile, lanes_});
                    });
     }
 
@@ -249,8 +249,9 @@ class Traversal {
             groups[i] = tree_.groups();  // any one, if there is none to look at
             lanes[i] = 0;
             if (!queue_.empty()) {
-                groups[i] += queue_.pop(lanes[i]);
-                met |= 15u << (4 * i);
+                std::uint32_t slots = 0;
+                groups[i] += queue_.pop(slots, lanes[i]);
+                met |= slots << (4 * i);
             }
         }
         std::uint32_t reached = 0;
@@ -356,7 +357,7 @@ class Traversal {
         const std::uint64_t groups = groupsMet(p);
         if (groups == 0) return;
         std::uint32_t answered = lanes;
-        if (p.childGroups > 0) {
+        if (!p.isLeaf()) {
             answered &= mayAnswer_[p.level];
             if (answered && p.sheet) test<Kind::sheet>(p, groups, answered);
             answered &= far & ~std::uint32_t(bundle_.wide);
@@ -367,8 +368,9 @@ class Traversal {
             test<Kind::whole>(p, groups, answered);
         const std::uint32_t rest = lanes & ~answered & lanes_;
         if (rest == 0) return;
-        queue_.push({p.children, p.childGroups, std::uint16_t(rest)});
-        const auto* next = reinterpret_cast<const char*>(tree_.groups() + p.children);
+        queue_.push({p.children, std::uint16_t(rest)});
+        const auto* next =
+            reinterpret_cast<const char*>(tree_.groups() + p.children.group);
         for (std::size_t at = 0; at < sizeof(PatchGroup); at += 64)
             hwy::Prefetch(next + at);
     }
@@ -388,9 +390,10 @@ class Traversal {
     /// The patch as rays see it.
     struct Seen {
         const Patch& patch;
-        const CoverPlane* cover;
+        const std::uint16_t* cover;
         float cornerU, cornerV, perTexel;
-        std::uint32_t number;
+        int column, columns, row, rows;  // texels of its box, in the tile
+        std::uint32_t tile;  ///< if its texels are shared: a number of the tile
         /// [receiver]: as Batch has them.
         alignas(64) float u[kMostReceivers], v[kMostReceivers], rise[kMostReceivers];
     };
@@ -447,10 +450,18 @@ class Traversal {
                   std::floor(p.u / square) * square,
                   std::floor(p.v / square) * square,
                   1.0f / texel,
-                  (p.cover * 0x9e3779b1u) >> 28,
+                  p.firstColumn(),
+                  p.columns(),
+                  p.firstRow(),
+                  p.rows(),
+                  0u,
                   {},
                   {},
                   {}};
+        if (p.shared) {
+            const auto x = std::uint32_t(seen.cornerU), y = std::uint32_t(seen.cornerV);
+            seen.tile = (x * 0x85ebca6bu) ^ (y * 0xc2b2ae35u);
+        }
         const auto set = [](float x) { return hn::Set(kF, x); };
         for (int k = 0; k < kMostReceivers; k += kN) {
             const Vec u = hn::Load(kF, bundle_.u + k), v = hn::Load(kF, bundle_.v + k);
@@ -521,25 +532,29 @@ class Traversal {
         const Vec step = hn::Mul(s, hn::Set(kF, p.perTexel));
         const Vec u = hn::MulAdd(r.du, step, hn::Set(kF, r.u));
         const Vec v = hn::MulAdd(r.dv, step, hn::Set(kF, r.v));
-        const Vec none = hn::Zero(kF), all = hn::Set(kF, float(kTexels));
+        const auto inside = [](Vec x, int first, int count) {
+            return hn::And(hn::Ge(x, hn::Set(kF, float(first))),
+                           hn::Lt(x, hn::Set(kF, float(first + count))));
+        };
         auto hit = hn::And(hn::Gt(s, r.begin), hn::Le(s, hn::Set(kF, 1.0f)));
-        hit = hn::And(hit, hn::And(hn::Ge(u, none), hn::Lt(u, all)));
-        hit = hn::And(hit, hn::And(hn::Ge(v, none), hn::Lt(v, all)));
+        hit = hn::And(hit, inside(u, p.column, p.columns));
+        hit = hn::And(hit, inside(v, p.row, p.rows));
         const std::uint32_t hits = bitsOf(hit) & r.open;
         if (hits == 0) return 0;
         const VecI fifteen = hn::Set(kI, kTexels - 1);
         const VecI x = hn::And(hn::ConvertTo(kI, u), fifteen);
-        const VecI y = hn::And(hn::ConvertTo(kI, v), fifteen);
+        const VecI row = hn::Sub(hn::ConvertTo(kI, v), hn::Set(kI, p.row));
+        const VecI y = hn::And(row, fifteen);
         const VecI bit = hn::Shl(hn::Set(kI, 1), x);
         if (!p.patch.shared)
-            return hits & bitsOf(hn::Ne(hn::And(rowsAt(*p.cover, y), bit), hn::Zero(kI)));
-        return hits & sharesAbove(p, r, y, bit);
+            return hits & bitsOf(hn::Ne(hn::And(rowsAt(p.cover, y), bit), hn::Zero(kI)));
+        return hits & sharesAbove(p, r, x, y, bit);
     }
 
     /// Rays that meet the pixels of a bumpy patch, each of which lies on a plane of its
     /// own.
     std::uint32_t metBumps(const Seen& p, const Batch& r) const {
-        const BumpPlane bumps = std::bit_cast<BumpPlane>(*p.cover);
+        const BumpPlane bumps = tree_.bumps(p.patch.cover);
         const Vec inverse = perApproach(p, r);
         const float perStep = p.patch.residual / BumpPlane::kSteps;
         const Vec none = hn::Zero(kF), one = hn::Set(kF, 1.0f);
@@ -560,32 +575,43 @@ class Traversal {
         return bitsOf(hit) & r.open;
     }
 
-    static VecI rowsAt(const CoverPlane& cover, VecI y) {
+    /// Of 16 rows.
+    static VecI rowsAt(const std::uint16_t* cover, VecI y) {
         if constexpr (kN == kLanes) {
             const hn::Rebind<std::uint16_t, Ints> halves;
-            const VecI rows = hn::PromoteTo(kI, hn::LoadU(halves, cover.row));
+            const VecI rows = hn::PromoteTo(kI, hn::LoadU(halves, cover));
             return hn::TableLookupLanes(rows, hn::IndicesFromVec(kI, y));
         } else {
             alignas(64) std::int32_t at[kN];
             hn::Store(y, kI, at);
             for (std::int32_t& row : at)
-                row = cover.row[row];
+                row = cover[row];
             return hn::Load(kI, at);
         }
     }
 
-    /// Rays whose threshold lies below the share of the texel that they cross.
-    static std::uint32_t sharesAbove(const Seen& p, const Batch& r, VecI y, VecI bit) {
+    /// Rays whose threshold lies within the share of the texel that they cross. A ray has
+    /// one threshold for all patches that share a texel, others for other texels.
+    static std::uint32_t sharesAbove(const Seen& p, const Batch& r, VecI x, VecI y,
+                                     VecI bit) {
+        const auto covered = [&](int plane) {
+            return hn::Ne(hn::And(rowsAt(p.cover + plane * p.rows, y), bit),
+                          hn::Zero(kI));
+        };
         VecI share = hn::Zero(kI);
-        for (int plane = 0; plane < 4; ++plane) {
-            const auto covered =
-                hn::Ne(hn::And(rowsAt(p.cover[plane], y), bit), hn::Zero(kI));
-            share = hn::Add(share, hn::IfThenElseZero(covered, hn::Set(kI, 1 << plane)));
-        }
+        for (int plane = 0; plane < 4; ++plane)
+            share = hn::Add(share,
+                            hn::IfThenElseZero(covered(plane), hn::Set(kI, 1 << plane)));
+        const VecI row = hn::Add(y, hn::Set(kI, p.row));
+        const VecI texel = hn::Add(hn::ShiftLeft<4>(row), x);
+        const VecI mixed = hn::Mul(hn::Add(texel, hn::Set(kI, std::int32_t(p.tile))),
+                                   hn::Set(kI, std::int32_t(0x9e3779b1u)));
         const hn::Rebind<std::uint8_t, Ints> bytes;
-        const VecI threshold = hn::Xor(hn::PromoteTo(kI, hn::LoadU(bytes, r.threshold)),
-                                       hn::Set(kI, std::int32_t(p.number)));
-        const auto full = hn::Eq(share, hn::Set(kI, 15));
+        const VecI fifteen = hn::Set(kI, 15);
+        VecI threshold = hn::Xor(hn::PromoteTo(kI, hn::LoadU(bytes, r.threshold)),
+                                 hn::And(hn::ShiftRight<28>(mixed), fifteen));
+        threshold = hn::Xor(threshold, hn::IfThenElseZero(covered(4), fifteen));
+        const auto full = hn::Eq(share, fifteen);
         return bitsOf(hn::Or(full, hn::Lt(threshold, share)));
     }
 
@@ -612,7 +638,7 @@ class Glance {
 
     bool run() {
         enterTiles(tree_, hull_, false, firstLevel(),
-                   [&](const PatchTree::Entry& tile) { push(tile.group, tile.groups); });
+                   [&](const PatchList& tile) { push(tile); });
         for (int looks = 0; waiting_ > 0; ++looks) {
             if (full_ || looks == kMostLooks || look()) return true;
         }
@@ -631,13 +657,13 @@ class Glance {
         return level;
     }
 
-    void push(std::uint32_t group, std::uint32_t groups) {
-        for (std::uint32_t i = 0; i < groups; ++i) {
+    void push(const PatchList& list) {
+        for (std::uint32_t i = 0; i < list.groups; ++i) {
             if (waiting_ == kSize) {
                 full_ = true;
                 return;
             }
-            stack_[waiting_++] = group + i;
+            stack_[waiting_++] = {list.group + i, 1, list.slotsOf(i)};
         }
     }
 
@@ -648,8 +674,9 @@ class Glance {
         for (int i = 0; i < 4; ++i) {
             groups[i] = tree_.groups();  // any one, if there is none to look at
             if (waiting_ > 0) {
-                groups[i] += stack_[--waiting_];
-                met |= 15u << (4 * i);
+                const PatchList& one = stack_[--waiting_];
+                groups[i] += one.group;
+                met |= std::uint32_t(one.slots) << (4 * i);
             }
         }
         std::uint32_t reached = 0;
@@ -658,7 +685,7 @@ class Glance {
         for (met &= reached; met; met &= met - 1) {
             const int i = std::countr_zero(met);
             if (isFine(groups[i / 4]->patch(i % 4))) return true;
-            push(groups[i / 4]->children[i % 4], groups[i / 4]->childGroups[i % 4]);
+            push(groups[i / 4]->childrenOf(i % 4));
         }
         return false;
     }
@@ -671,15 +698,14 @@ class Glance {
             hull_.uHigh - hull_.uLow + most * (hull_.slopeHighU - hull_.slopeLowU);
         const float v =
             hull_.vHigh - hull_.vLow + most * (hull_.slopeHighV - hull_.slopeLowV);
-        return p.childGroups == 0 ||
-               p.texel <= hull_.spread * kTexel * (p.low - hull_.wLow) ||
+        return p.isLeaf() || p.texel <= hull_.spread * kTexel * (p.low - hull_.wLow) ||
                std::max(p.halfU, p.halfV) <= std::max(u, v);
     }
 
     static constexpr int kMostLooks = 16, kSize = 128;
     const PatchTree& tree_;
     const RayHull& hull_;
-    std::uint32_t stack_[kSize];
+    PatchList stack_[kSize];  // of one group each
     int waiting_ = 0;
     bool full_ = false;
 };

@@ -13,10 +13,15 @@
 // Coverage. Texels of level 0 are pixels, covered or not. A texel of a coarser level
 // holds the share of its pixels that the patch covers, counted exactly and then in
 // sixteenths by ordered dither, so that no mean is off: a ray is blocked by the share,
-// against a threshold of its own.
+// against a threshold of its own. Of several patches that share a texel it matters which
+// pixels they cover: the front and the back of a body the same, two halves of a surface
+// none twice. So a ray has one threshold for all of them, and what covers more of one
+// half of a texel takes thresholds from below, what covers more of the other one from
+// above. Kept are the rows of texels that the patch's box has.
 #pragma once
 #include <bit>
 #include <cstdint>
+#include <cstring>
 #include <vector>
 
 #include "mtsm/map.h"
@@ -24,12 +29,26 @@
 namespace mtsm::trace {
 
 inline constexpr int kTexels = 16;  ///< per side of a patch
+inline constexpr int kSharePlanes = 5;
 
 /// The upper half of a float's bits.
 using UpperHalf = std::uint16_t;
 [[nodiscard]] inline float widen(UpperHalf bits) noexcept {
     return std::bit_cast<float>(std::uint32_t(bits) << 16);
 }
+
+/// Patches that are looked at together: those of these groups, of the last group some. In
+/// the rest of that one are patches of other lists.
+struct PatchList {
+    std::uint32_t group;
+    std::uint32_t groups : 28;
+    std::uint32_t slots : 4;  ///< of the last group: which, a bit each
+
+    /// Slots of group number i of the list.
+    [[nodiscard]] std::uint32_t slotsOf(std::uint32_t i) const noexcept {
+        return i + 1 == groups ? slots : 15;
+    }
+};
 
 /// A piece of surface, in straight space: pixels and w.
 struct Patch {
@@ -38,34 +57,59 @@ struct Patch {
     float w, gradientU, gradientV;  ///< plane: depth at the box's centre, slope
     float residual;                 ///< largest distance from the plane, in w
     float u, v, halfU, halfV;       ///< box of its texels: centre, half sides
-    float texel;  ///< side of a texel that is partly covered, pixels; 0: none is
-    std::uint32_t children;     ///< first group
-    std::uint32_t childGroups;  ///< 0: a leaf
-    std::uint32_t cover;        ///< first plane of its coverage
+    float texel;          ///< side of a texel that is partly covered, pixels; 0: none is
+    PatchList children;   ///< none: a leaf
+    std::uint32_t cover;  ///< first row of its coverage
     std::uint8_t level;
-    /// Four planes of coverage, the bits of a number from 0 to 15: sixteenths, 15 is all.
-    /// Else one plane: all or nothing.
+    /// kSharePlanes planes of coverage: four bits of a number from 0 to 15, sixteenths,
+    /// 15 is all; and does it take thresholds from above? Else one plane: all or nothing.
+    /// A plane has a row for each row of texels of the box: bit x is column x of the
+    /// tile, and outside the box none is set.
     bool shared;
     bool sheet;  ///< one connected surface that fills the box
     bool bumpy;  ///< a leaf; its coverage is a BumpPlane
+
+    [[nodiscard]] bool isLeaf() const noexcept { return children.groups == 0; }
+    /// Rows and columns of the tile's texels that the box takes up.
+    [[nodiscard]] int firstRow() const noexcept {
+        return texels(v - halfV - cornerOf(v));
+    }
+    [[nodiscard]] int rows() const noexcept { return texels(2.0f * halfV); }
+    [[nodiscard]] int firstColumn() const noexcept {
+        return texels(u - halfU - cornerOf(u));
+    }
+    [[nodiscard]] int columns() const noexcept { return texels(2.0f * halfU); }
+
+  private:
+    /// Upper or left edge of its tile.
+    [[nodiscard]] float cornerOf(float centre) const noexcept {
+        return float(std::uint32_t(centre) >> (level + 4) << (level + 4));
+    }
+    [[nodiscard]] int texels(float pixels) const noexcept { return int(pixels) >> level; }
 };
 
 /// Four patches that are looked at together: first of all what hulls of rays are tested
 /// against. Each field as Patch has it, or what that is made of.
 struct alignas(16) PatchGroup {
     static constexpr int kShared = 32, kSheet = 64, kBumpy = 128;
+    static constexpr int kGroupBits = 28;
 
     float w[4];
     UpperHalf above[4], below[4];  ///< from w to high and to low; -infinity: no patch
     std::uint16_t u0[4], v0[4], u1[4], v1[4];  ///< box, pixels
     float gradientU[4], gradientV[4];
     UpperHalf residual[4];
-    std::uint32_t children[4], cover[4];
+    std::uint32_t children[4];  ///< first group, and above kGroupBits the last's slots
+    std::uint32_t cover[4];
     std::uint8_t childGroups[4];
     std::uint8_t kind[4];  ///< level, and what it is
 
     [[nodiscard]] float high(int i) const noexcept { return w[i] + widen(above[i]); }
     [[nodiscard]] float low(int i) const noexcept { return w[i] - widen(below[i]); }
+    [[nodiscard]] PatchList childrenOf(int i) const noexcept {
+        return {children[i] & ((1u << kGroupBits) - 1), childGroups[i],
+                children[i] >> kGroupBits};
+    }
     [[nodiscard]] Patch patch(int i) const noexcept {
         Patch p;
         p.high = high(i), p.low = low(i), p.w = w[i];
@@ -73,7 +117,7 @@ struct alignas(16) PatchGroup {
         p.residual = widen(residual[i]);
         p.u = 0.5f * float(u0[i] + u1[i]), p.v = 0.5f * float(v0[i] + v1[i]);
         p.halfU = 0.5f * float(u1[i] - u0[i]), p.halfV = 0.5f * float(v1[i] - v0[i]);
-        p.children = children[i], p.childGroups = childGroups[i], p.cover = cover[i];
+        p.children = childrenOf(i), p.cover = cover[i];
         p.level = kind[i] & 31;
         p.shared = kind[i] & kShared, p.sheet = kind[i] & kSheet;
         p.bumpy = kind[i] & kBumpy;
@@ -83,11 +127,6 @@ struct alignas(16) PatchGroup {
 };
 static_assert(sizeof(PatchGroup) == 144);
 
-/// One bit per texel: bit x of row y.
-struct CoverPlane {
-    std::uint16_t row[kTexels];
-};
-
 /// Of the pixels of a square of 4 x 4, row by row: the sample is
 /// `residual` / kSteps times this above the patch's plane there, w.
 struct BumpPlane {
@@ -96,7 +135,7 @@ struct BumpPlane {
     static constexpr std::int16_t kNone = -32768;  ///< no sample
     std::int16_t offset[kSide * kSide];
 };
-static_assert(sizeof(BumpPlane) == sizeof(CoverPlane));
+static_assert(sizeof(BumpPlane) == kTexels * sizeof(std::uint16_t));
 
 class PatchTree {
   public:
@@ -106,26 +145,26 @@ class PatchTree {
         float flatness = 0.3f;
     };
     /// The tree of an opaque map's face; the same for any number of threads. Throws
-    /// std::bad_alloc, also where groups or covers are more than 32 bits count.
+    /// std::bad_alloc, also where groups or covers are more than 28 and 32 bits count.
     [[nodiscard]] static PatchTree build(const ShadowMap& map, std::uint32_t face,
                                          const Options& options);
 
-    /// Groups of one tile of a level.
-    struct Entry {
-        std::uint32_t group = 0, groups = 0;
-    };
     struct Level {
         std::uint32_t side = 0;  ///< of a tile, pixels
         std::uint32_t columns = 0, rows = 0;
-        std::vector<Entry> tiles;  ///< row-major; of level 0 none, if it is not the last
+        /// Row-major; of level 0 none, if it is not the last.
+        std::vector<PatchList> tiles;
     };
 
     [[nodiscard]] const std::vector<Level>& levels() const noexcept { return levels_; }
     [[nodiscard]] const PatchGroup* groups() const noexcept { return groups_.data(); }
-    [[nodiscard]] const CoverPlane* covers() const noexcept { return covers_.data(); }
+    /// Rows of texels; after the last patch's there are kTexels more.
+    [[nodiscard]] const std::uint16_t* covers() const noexcept { return covers_.data(); }
     /// Of a bumpy patch.
     [[nodiscard]] BumpPlane bumps(std::uint32_t cover) const noexcept {
-        return std::bit_cast<BumpPlane>(covers_[cover]);
+        BumpPlane bumps;
+        std::memcpy(&bumps, &covers_[cover], sizeof bumps);
+        return bumps;
     }
     /// Of all patches.
     [[nodiscard]] float lowest() const noexcept { return lowest_; }
@@ -142,7 +181,7 @@ class PatchTree {
     friend class PatchBuilder;
     std::vector<Level> levels_;
     std::vector<PatchGroup> groups_;
-    std::vector<CoverPlane> covers_;
+    std::vector<std::uint16_t> covers_;
     float lowest_ = 0.0f, highest_ = 0.0f, margin_ = 0.0f;
     float pieceSize_ = 0.0f;
 };

@@ -345,8 +345,8 @@ TEST_CASE("what queries need is made once, beforehand or by the first of them",
         REQUIRE(trees.size() == 1);
         CHECK(queryMemoryBytes(prepared) ==
               prepared.memoryBytes() + trees[0].memoryBytes());
-        // A plane of coverage per tile of 16 x 16 pixels at least.
-        CHECK(trees[0].memoryBytes() >= 16 * sizeof(trace::CoverPlane));
+        // A patch per tile of 16 x 16 pixels at least.
+        CHECK(trees[0].memoryBytes() >= 16 * sizeof(trace::PatchGroup) / 4);
         CHECK(queryMemoryBytes(other) == queryMemoryBytes(prepared));
         std::vector<float> dark[2];
         for (const ShadowMap* map : {&prepared, &other}) {

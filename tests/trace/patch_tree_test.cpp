@@ -1,10 +1,16 @@
 // The patch tree: its patches share out the samples of a map, and say where they are.
 #include "trace/patch_tree.h"
 
+#include <tbb/global_control.h>
+#include <tbb/task_arena.h>
+
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <catch2/catch.hpp>
 #include <cmath>
+#include <cstring>
+#include <functional>
 #include <map>
 #include <set>
 #include <string>
@@ -21,6 +27,7 @@ using test::Random;
 using test::TestLayer;
 using trace::kTexels;
 using trace::Patch;
+using trace::PatchList;
 using trace::PatchTree;
 
 namespace {
@@ -54,10 +61,6 @@ std::uint32_t cornerOf(float centre, std::uint8_t level) {
     return std::uint32_t(centre) / side * side;
 }
 
-bool bitOf(const trace::CoverPlane& plane, std::uint32_t x, std::uint32_t y) {
-    return plane.row[y] >> x & 1;
-}
-
 class Checker {
   public:
     explicit Checker(const ShadowMap& map)
@@ -76,12 +79,11 @@ class Checker {
             CHECK(level.columns * level.side >= map_.info().width);
             CHECK(level.rows * level.side >= map_.info().height);
             leaves_.clear();
-            for (const PatchTree::Entry& tile : level.tiles)
-                eachPatch(tile.group, tile.groups,
-                          [&](PatchName patch) { findLeaves(patch); });
+            for (const PatchList& tile : level.tiles)
+                eachPatch(tile, [&](PatchName patch) { findLeaves(patch); });
             shareOut();
-            for (const PatchTree::Entry& tile : level.tiles)
-                eachPatch(tile.group, tile.groups, [&](PatchName patch) {
+            for (const PatchList& tile : level.tiles)
+                eachPatch(tile, [&](PatchName patch) {
                     const std::vector<Sample> samples = samplesOf(patch);
                     addShares(patch, pixelsOf(samples));
                 });
@@ -98,18 +100,21 @@ class Checker {
 
   private:
     template <typename Visit>
-    void eachPatch(std::uint32_t group, std::uint32_t groups, const Visit& visit) const {
-        for (std::uint32_t g = group; g < group + groups; ++g) {
-            for (int i = 0; i < 4; ++i) {
-                if (tree_.groups()[g].high(i) > -HUGE_VALF) visit(PatchName(g, i));
-            }
+    void eachPatch(const PatchList& list, const Visit& visit) const {
+        for (std::uint32_t n = 0; n < 4 * list.groups; ++n) {
+            if (list.slotsOf(n / 4) >> (n % 4) & 1)
+                visit(PatchName(list.group + n / 4, int(n % 4)));
         }
     }
     [[nodiscard]] Patch patchOf(PatchName patch) const {
         return tree_.groups()[patch.first].patch(patch.second);
     }
-    [[nodiscard]] const trace::CoverPlane* coverOf(PatchName patch) const {
-        return tree_.covers() + patchOf(patch).cover;
+    /// Of plane k of a patch's coverage.
+    [[nodiscard]] bool bitOf(const Patch& g, int k, std::uint32_t x,
+                             std::uint32_t y) const {
+        const int row = int(y) - g.firstRow();
+        if (row < 0 || row >= g.rows()) return false;
+        return tree_.covers()[g.cover + std::uint32_t(k * g.rows() + row)] >> x & 1;
     }
     void expect(bool holds, const char* what) {
         if (!holds) ++failures_[what];
@@ -117,9 +122,8 @@ class Checker {
 
     void findLeaves(PatchName patch) {
         const Patch g = patchOf(patch);
-        if (g.childGroups > 0) {
-            eachPatch(g.children, g.childGroups,
-                      [&](PatchName child) { findLeaves(child); });
+        if (!g.isLeaf()) {
+            eachPatch(g.children, [&](PatchName child) { findLeaves(child); });
             return;
         }
         expect(g.level == 0 && !g.shared, "leaves are of pixels");
@@ -140,7 +144,7 @@ class Checker {
     }
     [[nodiscard]] bool isCovered(PatchName patch, std::uint32_t p) const {
         if (patchOf(patch).bumpy) return bumpOf(patch, p) != trace::BumpPlane::kNone;
-        return bitOf(*coverOf(patch), p % 16, p / 16);
+        return bitOf(patchOf(patch), 0, p % 16, p / 16);
     }
 
     [[nodiscard]] bool holds(PatchName leaf, const Sample& s) const {
@@ -191,8 +195,8 @@ class Checker {
     std::vector<Sample> samplesOf(PatchName patch) {
         const Patch g = patchOf(patch);
         std::vector<Sample> samples;
-        if (g.childGroups == 0) samples = sampleOf_[patch];
-        eachPatch(g.children, g.childGroups, [&](PatchName child) {
+        if (g.isLeaf()) samples = sampleOf_[patch];
+        eachPatch(g.children, [&](PatchName child) {
             const std::vector<Sample> more = samplesOf(child);
             samples.insert(samples.end(), more.begin(), more.end());
             const Patch c = patchOf(child);
@@ -250,7 +254,7 @@ class Checker {
     [[nodiscard]] double shareOf(PatchName patch, std::uint32_t p) const {
         int share = 0;
         for (int k = 0; k < 4; ++k)
-            share |= int(bitOf(coverOf(patch)[k], p % 16, p / 16)) << k;
+            share |= int(bitOf(patchOf(patch), k, p % 16, p / 16)) << k;
         return share == 15 ? 16.0 : share;
     }
 
@@ -364,7 +368,7 @@ TEST_CASE("the tree of a map without layers has no patches", "[trace]") {
     const PatchTree tree = PatchTree::build(map, 0, {});
     CHECK(tree.pieceSize() == 0.0f);
     for (const PatchTree::Level& level : tree.levels()) {
-        for (const PatchTree::Entry& tile : level.tiles)
+        for (const PatchList& tile : level.tiles)
             CHECK(tile.groups == 0);
     }
     Checker(map).run();
@@ -393,4 +397,107 @@ TEST_CASE("the shares of coarse texels are right in the mean", "[trace][statisti
         CHECK(std::abs(checker.coveredTexels - checker.covered) <
               4.0 * std::sqrt(checker.variance));
     }
+}
+
+namespace {
+
+ShadowMap wavyMap(std::uint64_t seed) {
+    Random random(seed);
+    return randomMap(random, 150, 110, 4, true, 0.05);
+}
+
+}  // namespace
+
+TEST_CASE("a tree is the same for any number of threads", "[trace][threads]") {
+    const ShadowMap map = wavyMap(3);
+    const tbb::global_control more(tbb::global_control::max_allowed_parallelism, 8);
+    const auto build = [&](int threads) {
+        tbb::task_arena arena(threads);
+        return arena.execute([&] { return PatchTree::build(map, 0, {}); });
+    };
+    const PatchTree one = build(1), many = build(8);
+    REQUIRE(one.memoryBytes() == many.memoryBytes());
+    REQUIRE(one.levels().size() == many.levels().size());
+    std::uint32_t groups = 0;
+    for (std::size_t level = 0; level < one.levels().size(); ++level) {
+        const std::vector<PatchList>& a = one.levels()[level].tiles;
+        const std::vector<PatchList>& b = many.levels()[level].tiles;
+        REQUIRE(a.size() == b.size());
+        for (std::size_t i = 0; i < a.size(); ++i) {
+            CHECK(std::tuple(a[i].group, std::uint32_t(a[i].groups),
+                             std::uint32_t(a[i].slots)) ==
+                  std::tuple(b[i].group, std::uint32_t(b[i].groups),
+                             std::uint32_t(b[i].slots)));
+            groups = std::max(groups, a[i].group + a[i].groups);  // the last come last
+        }
+    }
+    REQUIRE(groups > 100);
+    CHECK(std::memcmp(one.groups(), many.groups(), groups * sizeof(trace::PatchGroup)) ==
+          0);
+    for (std::uint32_t n = 0; n < groups; ++n) {
+        for (int i = 0; i < 4; ++i) {
+            const Patch patch = one.groups()[n].patch(i);
+            if (!(patch.high > -HUGE_VALF)) continue;
+            const int rows =
+                patch.bumpy ? kTexels
+                            : (patch.shared ? trace::kSharePlanes : 1) * patch.rows();
+            const std::uint16_t* a = one.covers() + patch.cover;
+            CHECK(std::equal(a, a + rows, many.covers() + patch.cover));
+        }
+    }
+}
+
+TEST_CASE("every place in the groups of a tree is in one list, or empty", "[trace]") {
+    const ShadowMap map = wavyMap(4);
+    const PatchTree tree = PatchTree::build(map, 0, {});
+    std::map<std::pair<std::uint32_t, std::uint32_t>, int> lists;  // by group and slot
+    std::uint32_t groups = 0;
+    const std::function<void(const PatchList&, bool)> add = [&](const PatchList& list,
+                                                                bool follow) {
+        groups = std::max(groups, list.group + list.groups);
+        for (std::uint32_t n = 0; n < 4 * list.groups; ++n) {
+            if (!(list.slotsOf(n / 4) >> (n % 4) & 1)) continue;
+            ++lists[{list.group + n / 4, n % 4}];
+            if (follow)
+                add(tree.groups()[list.group + n / 4].patch(int(n % 4)).children, true);
+        }
+    };
+    for (const PatchTree::Level& level : tree.levels()) {
+        for (const PatchList& tile : level.tiles)
+            add(tile, &level == &tree.levels().back());
+    }
+    std::size_t empty = 0;
+    for (std::uint32_t n = 0; n < groups; ++n) {
+        for (std::uint32_t i = 0; i < 4; ++i) {
+            const bool exists = tree.groups()[n].high(int(i)) > -HUGE_VALF;
+            const auto found = lists.find({n, i});
+            CHECK((found == lists.end() ? 0 : found->second) == (exists ? 1 : 0));
+            empty += !exists;
+        }
+    }
+    INFO(empty << " empty of " << 4 * groups);
+    CHECK(empty < groups / 4);
+}
+
+TEST_CASE("patches that fill their boxes share their rows of coverage", "[trace]") {
+    // A wall: a sheet at every level, all of it covered.
+    const ShadowMap map = mapOf(test::plainInfo(128, 128, 64),
+                                test::plainProjection(128, 128), [](auto, auto) {
+                                    return std::vector<TestLayer>{{4.0f, 0.0f, 1}};
+                                });
+    const PatchTree tree = PatchTree::build(map, 0, {});
+    std::set<std::uint32_t> covers;
+    for (const PatchTree::Level& level : tree.levels()) {
+        for (const PatchList& tile : level.tiles) {
+            const Patch patch = tree.groups()[tile.group].patch(
+                std::countr_zero(std::uint32_t(tile.slots)));
+            CHECK(patch.sheet);
+            CHECK(!patch.shared);
+            CHECK(patch.rows() == kTexels);
+            for (int row = 0; row < kTexels; ++row)
+                CHECK(tree.covers()[patch.cover + std::uint32_t(row)] == 0xffff);
+            covers.insert(patch.cover);
+        }
+    }
+    CHECK(covers.size() == 1);
 }
