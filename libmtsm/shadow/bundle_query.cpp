@@ -31,8 +31,10 @@ constexpr double kNearWidth = 8.0;
 constexpr double kNearMost = 256.0;
 constexpr float kSmallPiece = 20.0f;  // samples
 /// Beside hair it answers until the light, from where the ray is, is so many pixels wide
-/// through the receiver; for at most and at least so many footprints of depth.
-constexpr double kHairWidth = 8.0;
+/// through the receiver, or neighbouring rays are so many pixels apart: few rays are
+/// better off with what texels filter. For at most and at least so many footprints of
+/// depth.
+constexpr double kHairWidth = 8.0, kHairLeastWidth = 3.0, kHairApart = 0.5;
 constexpr double kHairMost = 256.0, kHairLeast = 2.0;
 /// Strands begin to count so many footprints above a receiver without a normal.
 constexpr double kHairStart = 0.02;
@@ -66,6 +68,11 @@ double nearHeightOf(const ShadowMap& map) noexcept {
     return height;
 }
 
+double hairWidth(std::uint32_t samples) noexcept {
+    return std::clamp(kHairApart * std::sqrt(double(samples)), kHairLeastWidth,
+                      kHairWidth);
+}
+
 LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& light,
                              const ShadowOptions& options, bool near, double nearMost,
                              bool normals, std::optional<std::uint32_t> onlyKey) {
@@ -81,7 +88,9 @@ LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& li
     if (near) {
         const bool sheets = !map.nearSheets(0).empty(), hair = !map.isOpaque();
         setting.nearDepth = sheets ? kSheetMost : nearMost;
-        setting.nearWidth = sheets ? kSheetWidth : hair ? kHairWidth : kNearWidth;
+        setting.nearWidth = sheets ? kSheetWidth
+                            : hair ? hairWidth(setting.samples)
+                                   : kNearWidth;
         setting.nearLeast = sheets ? kSheetLeast : hair ? kHairLeast : kNearDepth;
         setting.nearHeight = nearHeightOf(map);
         setting.nearStart = kNearStart;
@@ -108,6 +117,15 @@ float sum(std::uint32_t rays, const float* weights) {
     for (; rays; rays &= rays - 1)
         total += weights[std::countr_zero(rays)];
     return total;
+}
+
+/// In an order that vectors can follow.
+float sumOf(float (&lanes)[trace::kLanes]) {
+    for (int n = trace::kLanes / 2; n > 0; n /= 2) {
+        for (int i = 0; i < n; ++i)
+            lanes[i] += lanes[i + n];
+    }
+    return lanes[0];
 }
 
 }  // namespace
@@ -506,7 +524,7 @@ void BundleQuery::cut(std::uint32_t home, std::uint32_t number, const Receiver& 
 }
 
 /// Adds what the rays leave of the light. `valid` [row]: the rays that there are.
-void BundleQuery::addUp(const Rays& rays, const std::uint16_t* valid, bool weights,
+void BundleQuery::addUp(Rays& rays, const std::uint16_t* valid, bool weights,
                         Sums* sums) const noexcept {
     const int rows = rays.bundle.receivers * rays.bundle.groups;
     const RayFates& fates = rays.fates;
@@ -527,27 +545,27 @@ void BundleQuery::addUp(const Rays& rays, const std::uint16_t* valid, bool weigh
         return;
     }
     const std::uint32_t channels = map_.info().channels;
-    const auto threshold = float(thresholdOf(options_.threshold));
+    trace::seeThrough(rows, channels, float(thresholdOf(options_.threshold)),
+                      rays.followed, fates.clear, rays.depths);
     for (int row = 0; row < rows; ++row) {
         Sums& s = sums[row / rays.bundle.groups];
-        float means[trace::kLanes];  // of the channels
-        for (std::uint32_t rest = valid[row]; rest; rest &= rest - 1) {
-            const int i = std::countr_zero(rest);
-            glm::vec3 v(fates.clear[row] >> i & 1 ? 1.0f : 0.0f);
-            if (rays.followed[row] >> i & 1) {
-                for (std::uint32_t c = 0; c < 3; ++c) {
-                    const float left =
-                        std::exp(-rays.depths.depth[c < channels ? c : 0][row][i]);
-                    v[int(c)] = left > threshold ? left : 0.0f;
-                }
-            }
-            s.visible += (weights ? fates.weight[row][i] : 1.0f) * v;
-            s.least = std::min({s.least, v.x, v.y, v.z});
-            s.most = std::max({s.most, v.x, v.y, v.z});
-            means[i] = mean(v, channels);
-        }
-        if (!errors_) continue;
         const int count = std::popcount(valid[row]);
+        float means[trace::kLanes] = {};
+        for (std::uint32_t c = 0; c < channels; ++c) {
+            const float* const v = rays.depths.depth[c][row];
+            for (int i = 0; i < count; ++i) {
+                s.least = std::min(s.least, v[i]);
+                s.most = std::max(s.most, v[i]);
+                means[i] += v[i] / float(channels);
+            }
+            alignas(64) float part[trace::kLanes];
+            for (int i = 0; i < trace::kLanes; ++i)
+                part[i] =
+                    i < count ? (weights ? fates.weight[row][i] : 1.0f) * v[i] : 0.0f;
+            s.visible[int(c)] += sumOf(part);
+        }
+        if (channels == 1) s.visible.y = s.visible.z = s.visible.x;
+        if (!errors_) continue;
         for (int i = 0; i < count; ++i) {
             s.seen.sum += means[i];
             s.seen.squares += means[i] * means[i];
@@ -667,6 +685,19 @@ Answer BundleQuery::answerOf(Glance told) const noexcept {
 
 void BundleQuery::look(const Receiver* receivers, int count, int step, Sums* sums,
                        QueryStats& stats) const noexcept {
+    const auto groupsOf = [](std::uint32_t samples) {
+        return int((samples + trace::kLanes - 1) / trace::kLanes);
+    };
+    const int begin = groupsOf(steps_.first(step)), end = groupsOf(steps_.end[step]);
+    // Near media are looked at once for all rays of a receiver in a bundle; the way
+    // through layers is each ray's own.
+    const int most = std::max(trace::kMostRows / std::max(end - begin, 1), 1);
+    if (!opaque_ && count > most) {
+        for (int first = 0; first < count; first += most)
+            look(receivers + first, std::min(most, count - first), step, sums + first,
+                 stats);
+        return;
+    }
     const bool normals = receivers[0].normal != glm::dvec3(0.0);
     const bool weights = normals && options_.weight == Weight::cosine;
     const std::uint32_t home = faceOf(receivers[0].point);
@@ -685,11 +716,7 @@ void BundleQuery::look(const Receiver* receivers, int count, int step, Sums* sum
     const int atOnce = trace::kMostRows / count;
     for (int i = 0; i < count; ++i)
         sums[i].seen.spread = 0.0f;
-    const auto groupsOf = [](std::uint32_t samples) {
-        return int((samples + trace::kLanes - 1) / trace::kLanes);
-    };
-    const int end = groupsOf(steps_.end[step]);
-    for (int first = groupsOf(steps_.first(step)); first < end; first += atOnce) {
+    for (int first = begin; first < end; first += atOnce) {
         light.fill(lanes, first, std::min(atOnce, end - first), rays.bundle, rays.fates);
         const int groups = rays.bundle.groups, rows = count * groups;
         for (int row = 0; row < rows; ++row) {

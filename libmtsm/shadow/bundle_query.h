@@ -144,7 +144,7 @@ class BundleQuery {
     [[nodiscard]] float errorOf(const Sums& sums, int step) const noexcept;
     void traceNear(const Face& face, Rays& rays) const noexcept;
     void traceSheets(const Face& face, Rays& rays) const noexcept;
-    void addUp(const Rays& rays, const std::uint16_t* valid, bool weights,
+    void addUp(Rays& rays, const std::uint16_t* valid, bool weights,
                Sums* sums) const noexcept;
 
     const ShadowMap& map_;

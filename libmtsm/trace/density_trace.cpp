@@ -10,6 +10,8 @@
 #define HWY_TARGET_INCLUDE "trace/density_trace.cpp"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
+//
+#include "hwy/contrib/math/math-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace mtsm::trace {
@@ -178,14 +180,23 @@ class Kernel {
         return hn::Add(hn::ShiftLeft<kShift>(row), hn::And(x, inTile));
     }
 
-    /// Do the texels' slabs reach into [low, high]?
+    /// Do the texels' slabs reach into [low, high]? If in doubt, yes.
     template <class V, class VI>
     auto meets(const DensityLevel& texels, VI texel, V low, V high) const {
         const Floats d;
-        const VI word = hn::ShiftLeft<2>(texel);
-        const DensityTexel& first = texels.texels[0];
-        return hn::And(hn::Lt(low, hn::GatherIndex(d, &first.high, word)),
-                       hn::Gt(high, hn::GatherIndex(d, &first.low, word)));
+        const Ints di;
+        static_assert(sizeof(DensityTexel) == 8);
+        const auto* const first =
+            reinterpret_cast<const std::int32_t*>(&texels.texels[0].range);
+        const VI range = hn::GatherIndex(di, first, hn::ShiftLeft<1>(texel));
+        const hn::RebindToUnsigned<Floats> du;
+        const auto at = [&](auto steps) {
+            return hn::MulAdd(hn::ConvertTo(d, hn::BitCast(di, steps)),
+                              hn::Set(d, texels.step), hn::Set(d, texels.base));
+        };
+        const auto bits = hn::BitCast(du, range);
+        return hn::And(hn::Lt(low, at(hn::ShiftRight<16>(bits))),
+                       hn::Gt(high, at(hn::And(bits, hn::Set(du, 0xffffu)))));
     }
 
     template <class V, class VI, class M>
@@ -473,18 +484,20 @@ void Kernel::answerMedia(int level) {
     const hn::RebindToUnsigned<Floats> du;
     const auto upper = hn::Set(du, DensityLevel::kLengthBits);
     const std::uint32_t channels = tree_.channels();
+    const int wordShift = channels == 3 ? 2 : 1;  // of a slab
     for (int h = 0; h < hits.count; ++h) {
-        const DensityTexel texel = texels.texels[std::size_t(hits.texel[h])];
-        const std::uint32_t* list = texels.slabs.data() + texel.begin;
+        const auto texel = std::size_t(hits.texel[h]);
+        const std::uint32_t* list = texels.slabs.data() + texels.texels[texel].begin;
+        const std::uint32_t count = texels.words(texel) >> wordShift;
         const auto low = hn::Set(d, hits.low[h]), high = hn::Set(d, hits.high[h]);
         const int ray = hits.ray[h];
         beginSums(ray);
-        for (std::uint32_t k = 0; k < texel.count; k += lanes) {
+        for (std::uint32_t k = 0; k < count; k += lanes) {
             const std::uint32_t* at = list + k;
-            const auto valid = hn::FirstN(du, texel.count - k);
+            const auto valid = hn::FirstN(du, count - k);
             const auto slab =
                 hn::BitCast(d, hn::IfThenElseZero(valid, hn::LoadU(du, at)));
-            const auto bits = hn::IfThenElseZero(valid, hn::LoadU(du, at += texel.count));
+            const auto bits = hn::IfThenElseZero(valid, hn::LoadU(du, at += count));
             const auto length = hn::BitCast(d, hn::ShiftRight<1>(hn::And(bits, upper)));
             const auto from = hn::Max(low, slab);
             const auto to = hn::Min(high, hn::Add(slab, length));
@@ -496,7 +509,7 @@ void Kernel::answerMedia(int level) {
             add(hn::ShiftLeft<DensityLevel::kDensityShift>(hn::AndNot(upper, bits)),
                 march_.sum[0][ray]);
             for (std::uint32_t c = 1; c < channels; ++c)
-                add(hn::IfThenElseZero(valid, hn::LoadU(du, at += texel.count)),
+                add(hn::IfThenElseZero(valid, hn::LoadU(du, at += count)),
                     march_.sum[c][ray]);
         }
     }
@@ -520,9 +533,11 @@ void Kernel::answerSheets(int level) {
     // is wider, that would darken (tests/shadow/ray_test.cpp).
     const auto blocks = hn::Set(d, level == 0 ? 0.5f * kDarkDepth : HUGE_VALF);
     const DensityLevel& texels = tree_.sheets().levels[std::size_t(level)];
+    const int wordShift = channels == 3 ? 2 : 1;  // of a slab
     for (int h = 0; h < hits.count; ++h) {
-        const DensityTexel texel = texels.texels[std::size_t(hits.texel[h])];
-        const std::uint32_t* list = texels.slabs.data() + texel.begin;
+        const auto texel = std::size_t(hits.texel[h]);
+        const std::uint32_t* list = texels.slabs.data() + texels.texels[texel].begin;
+        const std::uint32_t count = texels.words(texel) >> wordShift;
         const int ray = hits.ray[h];
         beginSums(ray);
         const bool straightOn = hits.step[h] == march_.lastStep[ray] + 1;
@@ -542,11 +557,10 @@ void Kernel::answerSheets(int level) {
         // [channel]: depths met, and of those near the way in.
         float depthMet[3] = {}, depthNear[3] = {};
         bool any = false;
-        for (std::uint32_t k = 0; k < texel.count; k += lanes) {
-            const auto valid = hn::FirstN(du, texel.count - k);
+        for (std::uint32_t k = 0; k < count; k += lanes) {
+            const auto valid = hn::FirstN(du, count - k);
             const auto plane = [&](std::uint32_t n) {
-                return hn::IfThenElseZero(valid,
-                                          hn::LoadU(du, list + k + n * texel.count));
+                return hn::IfThenElseZero(valid, hn::LoadU(du, list + k + n * count));
             };
             const auto slab = hn::BitCast(d, plane(0));
             const auto bits = plane(1);
@@ -645,6 +659,29 @@ void traceDensityAt(const DensityTree& tree, const DensityTraceOptions& options,
     kernel.trace(bundle, depths);
 }
 
+void seeThroughAt(int rows, std::uint32_t channels, float threshold,
+                  const std::uint16_t* followed, const std::uint16_t* clear,
+                  RayDepths& depths) {
+    const Floats d;
+    const auto zero = hn::Zero(d), one = hn::Set(d, 1.0f);
+    for (std::uint32_t c = 0; c < channels; ++c) {
+        for (int row = 0; row < rows; ++row) {
+            for (int i = 0; i < kLanes; i += int(hn::Lanes(d))) {
+                float* const at = depths.depth[c][row] + i;
+                const auto depth = hn::Load(d, at);
+                const auto left =
+                    hn::IfThenElse(hn::Gt(depth, zero), hn::Exp(d, hn::Neg(depth)), one);
+                const auto seen =
+                    hn::IfThenElseZero(hn::Gt(left, hn::Set(d, threshold)), left);
+                const auto others =
+                    hn::IfThenElse(maskOf(d, std::uint32_t(clear[row]) >> i), one, zero);
+                const auto met = maskOf(d, std::uint32_t(followed[row]) >> i);
+                hn::Store(hn::IfThenElse(met, seen, others), d, at);
+            }
+        }
+    }
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace mtsm::trace
 HWY_AFTER_NAMESPACE();
@@ -653,10 +690,18 @@ HWY_AFTER_NAMESPACE();
 namespace mtsm::trace {
 
 HWY_EXPORT(traceDensityAt);
+HWY_EXPORT(seeThroughAt);
 
 void traceDensity(const DensityTree& tree, const DensityTraceOptions& options,
                   RayBundle& bundle, RayDepths& depths) noexcept {
     HWY_DYNAMIC_DISPATCH(traceDensityAt)(tree, options, bundle, depths);
+}
+
+void seeThrough(int rows, std::uint32_t channels, float threshold,
+                const std::uint16_t* followed, const std::uint16_t* clear,
+                RayDepths& depths) noexcept {
+    HWY_DYNAMIC_DISPATCH(seeThroughAt)
+    (rows, channels, threshold, followed, clear, depths);
 }
 
 namespace {
@@ -687,7 +732,7 @@ class Glance {
         for (int waiting = 1, looks = 0; waiting > 0; ++looks) {
             const Node node = stack[--waiting];
             const DensityLevel& level = pyramid.levels[node.level];
-            const DensityTexel& texel = level.texel(node.x, node.y);
+            const std::size_t texel = level.at(node.x, node.y);
             const float side = std::ldexp(1.0f, int(node.level));
             float most = 0.0f;
             // Of a sheet the bias is that where a ray leaves the texel or enters it:
@@ -695,9 +740,9 @@ class Glance {
             const float reach =
                 sheets ? side * (2.0f * std::max(biasAt(1.1f * pyramid.high),
                                                  biasAt(1.1f * pyramid.low)) +
-                                 movedAt(texel.high))
-                       : biasAt(texel.high);
-            if (!isMet(node, texel, 1.01f * reach, most)) continue;
+                                 movedAt(level.high(texel)))
+                       : biasAt(level.high(texel));
+            if (!isMet(node, level, texel, 1.01f * reach, most)) continue;
             if (node.level <= tree_.finest() || looks == kMostLooks ||
                 side <= 1.01f * part * hull_.spread * most)
                 return true;
@@ -713,12 +758,14 @@ class Glance {
     }
 
     /// `reach`: what it is met within; `most`: how far above the lowest start; both w.
-    bool isMet(Node node, const DensityTexel& texel, float reach, float& most) const {
-        if (!(texel.low <= texel.high)) return false;  // empty
-        most = texel.high + reach - hull_.wLow;
+    bool isMet(Node node, const DensityLevel& level, std::size_t texel, float reach,
+               float& most) const {
+        if (level.texels[texel].range == DensityTexel::kEmpty) return false;
+        const float low = level.low(texel), high = level.high(texel);
+        most = high + reach - hull_.wLow;
         const float least =
-            std::max(0.0f, std::max(texel.low - reach, hull_.wFirst) - hull_.wHigh);
-        if (!(texel.high + reach >= hull_.wFirst)) return false;
+            std::max(0.0f, std::max(low - reach, hull_.wFirst) - hull_.wHigh);
+        if (!(high + reach >= hull_.wFirst)) return false;
         const float side = std::ldexp(1.0f, int(node.level));
         return crosses(float(node.x) * side, side, hull_.uLow, hull_.uHigh,
                        hull_.slopeLowU, hull_.slopeHighU, least, most) &&

@@ -72,6 +72,13 @@ struct RayDepths {
 void traceDensity(const DensityTree& tree, const DensityTraceOptions& options,
                   RayBundle& bundle, RayDepths& depths) noexcept;
 
+/// Turns the depths of `rows` rows into what they leave of the light: exp(-depth), 0 if
+/// that is the threshold or less. Of rays that are not in `followed` [row] it is 1 if
+/// they are in `clear`, else 0.
+void seeThrough(int rows, std::uint32_t channels, float threshold,
+                const std::uint16_t* followed, const std::uint16_t* clear,
+                RayDepths& depths) noexcept;
+
 /// May any ray of the hull meet something? Where that is not soon found out, it may. What
 /// is told to be free is so for any ray's texels. Allocates nothing.
 [[nodiscard]] bool mayMeet(const DensityTree& tree, const DensityTraceOptions& options,

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <bit>
 #include <cmath>
 #include <limits>
@@ -29,22 +30,25 @@ constexpr float kThinnest = 0x1p-19f;
 constexpr float kUneven = 0.004f;
 constexpr float kMostPieces = 64.0f;
 
-using Depths = std::array<float, 3>;  // [channel]
+template <std::uint32_t kChannels>
+using Depths = std::array<float, kChannels>;
 
+template <std::uint32_t kChannels>
 struct Slab {
     float low = 0.0f, high = 0.0f;
-    Depths depth{};
+    Depths<kChannels> depth{};
+
+    [[nodiscard]] float length() const noexcept { return high - low; }
+    [[nodiscard]] float thickest() const noexcept {
+        return *std::max_element(depth.begin(), depth.end());
+    }
 };
+template <std::uint32_t kChannels>
+using Slabs = std::vector<Slab<kChannels>>;
 
 /// The least length of a slab.
 float thinnest(float low) {
     return std::max(kThinnest * std::abs(low), 1e-30f);
-}
-
-/// What lies at one depth.
-Slab thinAt(float w) {
-    const float length = thinnest(w);
-    return {w - 0.5f * length, w + 0.5f * length, {}};
 }
 
 // Two floats >= 0 in a word, both without their sign: the upper 15 bits of one, which is
@@ -63,42 +67,70 @@ float densityOf(std::uint32_t word) {
 }
 
 /// Words of a slab.
-std::size_t wordsOf(std::uint32_t channels) {
+constexpr std::size_t wordsOf(std::uint32_t channels) {
     return channels == 3 ? 4 : 2;
 }
 
+/// A slab as a level keeps it.
+template <std::uint32_t kChannels>
+std::array<std::uint32_t, wordsOf(kChannels)> encode(const Slab<kChannels>& slab) {
+    const float length =
+        lengthOf(packed(std::max(slab.length(), thinnest(slab.low)), 0.0f));
+    const float high = slab.low + length;
+    const float inverse = 1.0f / (high - slab.low);
+    std::array<std::uint32_t, wordsOf(kChannels)> words;
+    words[0] = std::bit_cast<std::uint32_t>(slab.low);
+    words[1] = packed(length, slab.depth[0] * inverse);
+    for (std::size_t c = 1; c < kChannels; ++c)
+        words[c + 1] = std::bit_cast<std::uint32_t>(slab.depth[c] * inverse);
+    return words;
+}
+
+template <std::uint32_t kChannels>
+Slab<kChannels> decode(const std::array<std::uint32_t, wordsOf(kChannels)>& words) {
+    const float low = std::bit_cast<float>(words[0]);
+    const float high = low + lengthOf(words[1]), length = high - low;
+    Slab<kChannels> slab{low, high, {}};
+    slab.depth[0] = densityOf(words[1]) * length;
+    for (std::size_t c = 1; c < kChannels; ++c)
+        slab.depth[c] = std::bit_cast<float>(words[c + 1]) * length;
+    return slab;
+}
+
+/// A texel before its level is whole.
+struct LooseTexel {
+    float low = HUGE_VALF, high = -HUGE_VALF;  // w between which the slabs lie
+    std::uint32_t words = 0;
+};
+
 /// Appends a list of slabs as a level keeps it; says where they lie.
-DensityTexel pack(const std::vector<Slab>& list, std::uint32_t channels,
-                  std::vector<std::uint32_t>& out) {
+template <std::uint32_t kChannels>
+LooseTexel pack(const Slabs<kChannels>& list, std::vector<std::uint32_t>& out) {
     const std::size_t begin = out.size(), n = list.size();
-    DensityTexel texel{HUGE_VALF, -HUGE_VALF, 0, std::uint32_t(n)};
-    out.resize(begin + n * wordsOf(channels));
+    LooseTexel texel;
+    texel.words = std::uint32_t(n * wordsOf(kChannels));
+    out.resize(begin + n * wordsOf(kChannels));
     for (std::size_t i = 0; i < n; ++i) {
-        const Slab& slab = list[i];
-        std::uint32_t* to = out.data() + begin + i;
-        const float length =
-            lengthOf(packed(std::max(slab.high - slab.low, thinnest(slab.low)), 0.0f));
-        const float high = slab.low + length;
-        const float inverse = 1.0f / (high - slab.low);
-        to[0] = std::bit_cast<std::uint32_t>(slab.low);
-        to[n] = packed(length, slab.depth[0] * inverse);
-        for (std::size_t c = 1; c < channels; ++c)
-            to[(c + 1) * n] = std::bit_cast<std::uint32_t>(slab.depth[c] * inverse);
-        texel.low = std::min(texel.low, slab.low);
-        texel.high = std::max(texel.high, high);
+        const auto words = encode(list[i]);
+        for (std::size_t k = 0; k < words.size(); ++k)
+            out[begin + k * n + i] = words[k];
+        texel.low = std::min(texel.low, list[i].low);
+        texel.high = std::max(texel.high, list[i].low + lengthOf(words[1]));
     }
     return texel;
 }
 
-/// The slab at `from` of a list of `count`.
-Slab unpack(const std::uint32_t* from, std::size_t count, std::uint32_t channels) {
-    const std::uint32_t bits = from[count];
-    const float low = std::bit_cast<float>(from[0]);
-    const float high = low + lengthOf(bits), length = high - low;
-    Slab slab{low, high, {densityOf(bits) * length, 0.0f, 0.0f}};
-    for (std::size_t c = 1; c < channels; ++c)
-        slab.depth[c] = std::bit_cast<float>(from[(c + 1) * count]) * length;
-    return slab;
+/// Appends the slabs of a texel.
+template <std::uint32_t kChannels>
+void unpack(const DensityLevel& level, std::size_t texel, Slabs<kChannels>& out) {
+    const std::uint32_t* const list = level.slabs.data() + level.texels[texel].begin;
+    const std::size_t count = level.words(texel) / wordsOf(kChannels);
+    for (std::size_t i = 0; i < count; ++i) {
+        std::array<std::uint32_t, wordsOf(kChannels)> words;
+        for (std::size_t k = 0; k < words.size(); ++k)
+            words[k] = list[k * count + i];
+        out.push_back(decode<kChannels>(words));
+    }
 }
 
 enum class Kind { media, sheets };
@@ -134,37 +166,72 @@ Limits limitsOf(const Projection& p, const DensityOptions& options, Kind kind,
 
 // --- a pixel's layers ------------------------------------------------------------------
 
+/// The logarithm of a normal number, to the last bit or two; a third of the library's
+/// time.
+float logOf(float x) {
+    const auto bits = std::bit_cast<std::uint32_t>(x);
+    constexpr std::uint32_t kRootOfHalf = 0x3f3504f3u;
+    const std::uint32_t above = bits - kRootOfHalf;
+    const auto exponent = float(std::int32_t(above) >> 23);
+    const float m = std::bit_cast<float>((above & 0x7fffffu) + kRootOfHalf);
+    // log m = 2 atanh t
+    const float t = (m - 1.0f) / (m + 1.0f), t2 = t * t;
+    const float series =
+        t2 * (1.0f / 3 + t2 * (1.0f / 5 + t2 * (1.0f / 7 + t2 * (1.0f / 9))));
+    return exponent * 0.693147181f + 2.0f * (t + t * series);
+}
+
+template <std::uint32_t kChannels>
 class PixelSlabs {
   public:
+    using List = Slabs<kChannels>;
+
     PixelSlabs(const ShadowMap& map, std::uint32_t face)
         : projection_(map.projection(face)),
-          channels_(map.info().channels),
           perspective_(projection_.kind == ProjectionKind::perspective),
           sheets_(map.info().translucent == Translucent::sheets) {}
 
-    /// The slabs of pixel (x, y) of one kind, in order of w.
+    /// Appends the slabs of pixel (x, y) of one kind, in order of w.
     void read(const PixelLayers& pixel, std::uint32_t x, std::uint32_t y, Kind kind,
-              std::vector<Slab>& out) const {
-        out.clear();
+              List& out) const {
+        if (pixel.count == 0) return;
         const float way = kind == Kind::sheets ? 1.0f : 1.0f / centreWay(x, y);
+        bool dark = isDark(pixel, pixel.count - 1);
+        float low = straight(pixel.z[pixel.count - 1]);
         for (std::uint32_t i = pixel.count; i-- > 0;) {
-            if (kindOf(pixel, i) == kind) add(pixel, i, way, out);
+            const bool restart = i == 0 || isDark(pixel, i - 1);
+            const float high = i > 0 ? straight(pixel.z[i - 1]) : low;
+            const bool one = !pixel.n || pixel.n[i] == 1;
+            if ((sheets_ || (one && dark) ? Kind::sheets : Kind::media) == kind)
+                add({pixel, i, dark, restart, one || i == 0, low, high}, way, out);
+            dark = restart;
+            low = high;
         }
+    }
+    /// Are there slabs of sheets in a map of media?
+    [[nodiscard]] bool hasSheets(const PixelLayers& pixel) const {
+        for (std::uint32_t i = 0; i < pixel.count; ++i) {
+            if (isDark(pixel, i) && (!pixel.n || pixel.n[i] == 1)) return true;
+        }
+        return false;
     }
 
   private:
+    struct Layer {
+        const PixelLayers& pixel;
+        std::uint32_t i;
+        bool dark, restart, single;
+        float low, high;  // w of its depth and of that before
+    };
+
     static float v(const PixelLayers& pixel, std::uint32_t i, std::uint32_t c) {
         return pixel.v ? pixel.v[c * pixel.vStride + i] : 0.0f;
     }
-    [[nodiscard]] bool isDark(const PixelLayers& pixel, std::uint32_t i) const {
-        for (std::uint32_t c = 0; c < channels_; ++c) {
+    static bool isDark(const PixelLayers& pixel, std::uint32_t i) {
+        for (std::uint32_t c = 0; c < kChannels; ++c) {
             if (v(pixel, i, c) > 0.0f) return false;
         }
         return true;
-    }
-    [[nodiscard]] Kind kindOf(const PixelLayers& pixel, std::uint32_t i) const {
-        const bool single = !pixel.n || pixel.n[i] == 1;
-        return sheets_ || (single && isDark(pixel, i)) ? Kind::sheets : Kind::media;
     }
 
     /// Way of the centre ray per unit of depth.
@@ -177,69 +244,71 @@ class PixelSlabs {
 
     [[nodiscard]] float straight(float z) const { return perspective_ ? 1.0f / z : -z; }
 
-    [[nodiscard]] Slab at(float z, Depths depth) const {
-        return between(straight(z), straight(z), depth);
-    }
-    static Slab between(float low, float high, Depths depth) {
+    static Slab<kChannels> between(float low, float high,
+                                   const Depths<kChannels>& depth) {
         const float least = thinnest(low);
         if (high - low >= least) return {low, high, depth};
         const float middle = 0.5f * (low + high);
         return {middle - 0.5f * least, middle + 0.5f * least, depth};
     }
 
-    /// The samples of layer i: spread from the layer before to its own depth. Where they
+    /// The samples of a layer: spread from the layer before to its own depth. Where they
     /// end dark, the last one blocks and the others take nothing.
-    void add(const PixelLayers& pixel, std::uint32_t i, float way,
-             std::vector<Slab>& out) const {
-        const bool single = i == 0 || !pixel.n || pixel.n[i] == 1;
-        if (isDark(pixel, i) && (sheets_ || single)) {  // blocks all channels
-            out.push_back(at(pixel.z[i], {kDarkDepth, kDarkDepth, kDarkDepth}));
+    void add(const Layer& layer, float way, List& out) const {
+        Depths<kChannels> depth{}, end{};
+        if (layer.dark && (sheets_ || layer.single)) {  // blocks all channels
+            end.fill(kDarkDepth);
+            out.push_back(between(layer.low, layer.low, end));
             return;
         }
-        const bool restart = i == 0 || isDark(pixel, i - 1);
-        Depths depth{}, end{};
         bool takes = false, ends = false;
-        for (std::uint32_t c = 0; c < channels_; ++c) {
-            const float after = v(pixel, i, c);
-            const float before = restart ? 1.0f : v(pixel, i - 1, c);
+        for (std::uint32_t c = 0; c < kChannels; ++c) {
+            const float after = v(layer.pixel, layer.i, c);
+            const float before = layer.restart ? 1.0f : v(layer.pixel, layer.i - 1, c);
             if (!(after < before)) continue;
             if (after > 0.0f) {
-                depth[c] = way * std::min(std::log(before / after), kDarkDepth);
+                depth[c] = way * std::min(logOf(before / after), kDarkDepth);
                 takes = true;
             } else {
                 end[c] = kDarkDepth;
                 ends = true;
             }
         }
-        if (ends) out.push_back(at(pixel.z[i], end));
+        if (ends) out.push_back(between(layer.low, layer.low, end));
         if (!takes) return;
-        spread(single ? pixel.z[i] : pixel.z[i - 1], pixel.z[i], depth, out);
+        if (layer.single)
+            out.push_back(between(layer.low, layer.low, depth));
+        else
+            spread(layer, depth, out);
     }
 
-    /// Evenly from depth z0 to z1; a slab is even in 1/z instead, so a long layer becomes
-    /// several.
-    void spread(float z0, float z1, Depths depth, std::vector<Slab>& out) const {
+    /// Evenly in depth; a slab is even in 1/z instead, so a long layer becomes several.
+    void spread(const Layer& layer, Depths<kChannels> depth, List& out) const {
+        const float z0 = layer.pixel.z[layer.i - 1], z1 = layer.pixel.z[layer.i];
         std::uint32_t pieces = 1;
         if (perspective_ && z1 > z0) {
-            const float thickest = std::max({depth[0], depth[1], depth[2]});
+            const float thickest = *std::max_element(depth.begin(), depth.end());
             const float off = thickest * (z1 - z0) / (4.0f * z0);  // of one piece
-            pieces =
-                std::uint32_t(std::ceil(std::min(std::sqrt(off / kUneven), kMostPieces)));
-            pieces = std::max(pieces, 1u);
+            if (off > kUneven)
+                pieces = std::uint32_t(
+                    std::ceil(std::min(std::sqrt(off / kUneven), kMostPieces)));
+        }
+        if (pieces == 1) {
+            out.push_back(between(layer.low, layer.high, depth));
+            return;
         }
         for (float& d : depth)
             d /= float(pieces);
         const float step = (z1 - z0) / float(pieces);
-        float low = straight(z1);
+        float low = layer.low;
         for (std::uint32_t k = pieces; k-- > 0;) {
-            const float high = straight(k > 0 ? z0 + step * float(k) : z0);
+            const float high = k > 0 ? straight(z0 + step * float(k)) : layer.high;
             out.push_back(between(low, high, depth));
             low = high;
         }
     }
 
     const Projection& projection_;
-    std::uint32_t channels_;
     bool perspective_, sheets_;
 };
 
@@ -261,21 +330,49 @@ float depthThatTakes(float taken) {
 
 /// Some rows of texels.
 struct Rows {
-    std::vector<DensityTexel> texels;  // `begin` is not known yet
+    std::vector<LooseTexel> texels;
     std::vector<std::uint32_t> slabs;
 
-    void append(const std::vector<Slab>& list, std::uint32_t channels) {
-        texels.push_back(pack(list, channels, slabs));
+    template <std::uint32_t kChannels>
+    void append(const Slabs<kChannels>& list) {
+        texels.push_back(pack(list, slabs));
     }
 };
 
+/// Says what the steps of a level are: from a step below all slabs to one above, which is
+/// more than rounding hides.
+void setSteps(float low, float high, DensityLevel& level) {
+    constexpr float kSteps = 65535.0f, kOutside = 3.0f;
+    level.step = std::max((high - low) / (kSteps - kOutside),
+                          0x1p-20f * std::max(std::abs(low), std::abs(high)));
+    level.step = std::max(level.step, 1e-30f);
+    level.base = low - level.step;
+}
+
+std::uint32_t rangeOf(const LooseTexel& texel, const DensityLevel& level) {
+    if (texel.words == 0) return DensityTexel::kEmpty;
+    const auto steps = [&](float w) { return (w - level.base) / level.step; };
+    const float low = std::floor(steps(texel.low) - 0.5f);
+    const float high = std::ceil(steps(texel.high) + 0.5f);
+    return std::uint32_t(std::clamp(low, 0.0f, 65535.0f)) |
+           std::uint32_t(std::clamp(high, 0.0f, 65535.0f)) << 16;
+}
+
 /// Puts the rows of all tasks together; false if they are too much.
-bool assemble(std::vector<Rows>& tasks, std::uint32_t channels, DensityLevel& level) {
+bool assemble(std::vector<Rows>& tasks, DensityLevel& level) {
     std::vector<std::uint64_t> first(tasks.size() + 1, 0);
-    for (std::size_t t = 0; t < tasks.size(); ++t)
+    float low = HUGE_VALF, high = -HUGE_VALF;
+    for (std::size_t t = 0; t < tasks.size(); ++t) {
         first[t + 1] = first[t] + tasks[t].slabs.size();
+        for (const LooseTexel& texel : tasks[t].texels) {
+            low = std::min(low, texel.low);
+            high = std::max(high, texel.high);
+        }
+    }
     if (first.back() > std::numeric_limits<std::uint32_t>::max() - kLanes) return false;
-    level.texels.resize(std::size_t(level.tilesX()) * level.tilesY() * 64);
+    if (low < high) setSteps(low, high, level);
+    level.texels.resize(std::size_t(level.tilesX()) * level.tilesY() * 64 + 1);
+    level.texels.back().begin = std::uint32_t(first.back());
     level.slabs.resize(first.back() + kLanes);
     base::parallelFor(std::size_t(0), tasks.size(), [&](std::size_t task) {
         Rows& rows = tasks[task];
@@ -283,10 +380,9 @@ bool assemble(std::vector<Rows>& tasks, std::uint32_t channels, DensityLevel& le
                   level.slabs.begin() + std::ptrdiff_t(first[task]));
         std::uint64_t begin = first[task];
         std::size_t to = task * kTileRowsPerTask * level.tilesX() * 64;
-        for (DensityTexel texel : rows.texels) {
-            texel.begin = std::uint32_t(begin);
-            begin += texel.count * wordsOf(channels);
-            level.texels[to++] = texel;
+        for (const LooseTexel& texel : rows.texels) {
+            level.texels[to++] = {rangeOf(texel, level), std::uint32_t(begin)};
+            begin += texel.words;
         }
         rows = {};
     });
@@ -294,13 +390,12 @@ bool assemble(std::vector<Rows>& tasks, std::uint32_t channels, DensityLevel& le
 }
 
 /// makeTexels() gives each thread's texel(x, y, slabs), which lists the slabs of a texel.
-template <typename MakeTexels>
-bool makeLevel(std::uint32_t channels, DensityLevel& level,
-               const MakeTexels& makeTexels) {
+template <std::uint32_t kChannels, typename MakeTexels>
+bool makeLevel(DensityLevel& level, const MakeTexels& makeTexels) {
     std::vector<Rows> tasks((level.tilesY() + kTileRowsPerTask - 1) / kTileRowsPerTask);
     base::parallelFor(std::size_t(0), tasks.size(), [&](std::size_t task) {
         auto texel = makeTexels();
-        std::vector<Slab> slabs;
+        Slabs<kChannels> slabs;
         const std::uint32_t first = std::uint32_t(task) * kTileRowsPerTask;
         const std::uint32_t end = std::min(first + kTileRowsPerTask, level.tilesY());
         for (std::uint32_t tile = first * level.tilesX(); tile < end * level.tilesX();
@@ -310,287 +405,269 @@ bool makeLevel(std::uint32_t channels, DensityLevel& level,
                 const std::uint32_t y = tile / level.tilesX() * 8 + i / 8;
                 slabs.clear();
                 if (x < level.width && y < level.height) texel(x, y, slabs);
-                tasks[task].append(slabs, channels);
+                tasks[task].append(slabs);
             }
         }
     });
-    return assemble(tasks, channels, level);
+    return assemble(tasks, level);
 }
 
+template <std::uint32_t kChannels>
 bool makePixels(const ShadowMap& map, std::uint32_t face, Kind kind,
                 DensityLevel& level) {
     level.width = map.info().width;
     level.height = map.info().height;
-    const PixelSlabs pixels(map, face);
-    return makeLevel(map.info().channels, level, [&] {
-        return [&](std::uint32_t x, std::uint32_t y, std::vector<Slab>& slabs) {
+    const PixelSlabs<kChannels> pixels(map, face);
+    return makeLevel<kChannels>(level, [&] {
+        return [&](std::uint32_t x, std::uint32_t y, Slabs<kChannels>& slabs) {
             pixels.read(map.pixel(face, x, y), x, y, kind, slabs);
         };
     });
 }
-
-/// The lists of up to four texels, each read from its front.
-template <std::uint32_t kChannels>
-struct ListReaders {
-    // What is left of the first slab of each list that was not taken; low is infinite
-    // at the end.
-    float low[4], high[4];
-    float depth[4][kChannels];
-
-    void clear() noexcept {
-        count_ = 0;
-        std::fill_n(low, 4, HUGE_VALF);
-        std::fill_n(high, 4, HUGE_VALF);
-    }
-    void add(const std::vector<std::uint32_t>& slabs,
-             const DensityTexel& texel) noexcept {
-        const std::size_t k = count_++;
-        at_[k] = slabs.data() + texel.begin;
-        left_[k] = stride_[k] = texel.count;
-        take(k);
-    }
-    void take(std::size_t k) noexcept {
-        if (left_[k] == 0) {
-            low[k] = HUGE_VALF;
-            return;
-        }
-        --left_[k];
-        const Slab slab = unpack(at_[k]++, stride_[k], kChannels);
-        low[k] = slab.low;
-        high[k] = slab.high;
-        std::copy_n(slab.depth.begin(), kChannels, depth[k]);
-    }
-    [[nodiscard]] std::size_t count() const noexcept { return count_; }
-    [[nodiscard]] float first() const noexcept {
-        return std::min(std::min(low[0], low[1]), std::min(low[2], low[3]));
-    }
-    [[nodiscard]] float length(std::size_t k) const noexcept { return high[k] - low[k]; }
-    [[nodiscard]] float thickest(std::size_t k) const noexcept {
-        return *std::max_element(depth[k], depth[k] + kChannels);
-    }
-
-  private:
-    std::size_t count_ = 0;
-    const std::uint32_t* at_[4] = {};
-    std::uint32_t left_[4] = {}, stride_[4] = {};
-};
 
 /// Merges the lists of up to four texels, whose areas are equal and beside one another.
 /// Where a slab of theirs is as deep or long as may be, all are cut.
 template <std::uint32_t kChannels>
 class Merger {
   public:
-    using Lists = ListReaders<kChannels>;
+    using List = Slabs<kChannels>;
 
     explicit Merger(Limits limits) : limits_(limits) {}
 
-    void merge(Lists& lists, std::vector<Slab>& out) {
-        out.clear();
-        share_ = 1.0f / float(lists.count());
+    void clear() noexcept {
+        slabs_.clear();
+        count_ = 0;
+    }
+    /// A list, which `append` appends to what it is given.
+    template <typename Append>
+    void add(const Append& append) {
+        begin_[count_++] = slabs_.size();
+        append(slabs_);
+        slabs_.push_back(kEnd);
+    }
+
+    void merge(List& out) {
+        if (slabs_.size() == count_) return;
+        Slab<kChannels> nothing = kEnd;
+        Fronts fronts;
+        for (std::size_t k = 0; k < 4; ++k)
+            fronts[k] = k < count_ ? slabs_.data() + begin_[k] : &nothing;
+        const float share = 1.0f / float(count_);
+        Open open;
         for (;;) {
-            const float at = lists.first();
-            if (open_ && at >= end_) close(out);
+            const float at = std::min(std::min(fronts[0]->low, fronts[1]->low),
+                                      std::min(fronts[2]->low, fronts[3]->low));
+            if (open.any && at >= open.end) close(open, share, out);
             if (at == HUGE_VALF) return;
-            if (!open_) begin(at);
-            if (!takeWhole(lists, at, out)) advance(lists, at, out);
+            if (!open.any) begin(open, at);
+            // Which list has one that is not to be cut cannot be foreseen, so no branch
+            // asks.
+            unsigned whole = 0;
+            for (std::size_t k = 0; k < 4; ++k) {
+                const bool isShort =
+                    limits_.thin | (fronts[k]->length() <= open.shortest);
+                whole |= unsigned(isShort & (fronts[k]->low <= at)) << k;
+            }
+            if (whole == 0) {
+                advance(fronts, at, share, open, out);
+                continue;
+            }
+            // Takes all of it, or ends the one that is open because it does not fit.
+            const auto k = std::size_t(std::countr_zero(whole));
+            const Slab<kChannels>& slab = *fronts[k];
+            const float thickest = open.thickest + share * slab.thickest();
+            if (open.high > open.low &&
+                (thickest > limits_.depth || slab.high > open.end)) {
+                close(open, share, out);
+            } else {
+                take(open, slab, k, slab.high, 1.0f, share);
+                ++fronts[k];
+            }
         }
     }
 
   private:
-    void begin(float at) {
-        open_ = true;
-        low_ = high_ = at;
-        end_ = at + limits_.lengthAt(at);
-        shortest_ = kShortestCut * limits_.lengthAt(at);
-        depth_ = {};
-        thickest_ = moment_ = 0.0f;
+    /// What is left of each list, whose first slab may be a part of one.
+    using Fronts = std::array<Slab<kChannels>*, 4>;
+    static constexpr Slab<kChannels> kEnd{HUGE_VALF, HUGE_VALF, {}};
+
+    /// The slab that is open: from `low` to `high` so far, to `end` at most. What its
+    /// thickest channel has, mean over the children.
+    struct Open {
+        bool any = false;
+        float low = 0.0f, high = 0.0f, end = 0.0f, shortest = 0.0f, thickest = 0.0f;
+        float moment = 0.0f;                                  // of that, about `low`
+        std::array<std::array<float, kChannels>, 4> depth{};  // [child][channel]
+    };
+
+    void begin(Open& open, float at) const {
+        open = {};
+        open.any = true;
+        open.low = open.high = at;
+        open.end = at + limits_.lengthAt(at);
+        open.shortest = kShortestCut * limits_.lengthAt(at);
     }
 
-    void close(std::vector<Slab>& out) {
-        Slab slab{low_, high_, {}};
-        if (limits_.thin && high_ <= end_ && thickest_ > 0.0f)
-            slab = thinAt(low_ + moment_ / thickest_);
+    void close(Open& open, float share, List& out) const {
+        Slab<kChannels> slab{open.low, open.high, {}};
+        if (limits_.thin && open.high <= open.end && open.thickest > 0.0f) {
+            const float w = open.low + open.moment / open.thickest;
+            slab.low = w - 0.5f * thinnest(w);
+            slab.high = w + 0.5f * thinnest(w);
+        }
         // The depth whose transmittance is the mean of the children's.
         for (std::uint32_t c = 0; c < kChannels; ++c) {
             float taken = 0.0f;
-            for (const auto& child : depth_)
+            for (const auto& child : open.depth)
                 taken += takenBy(child[c]);
-            slab.depth[c] = depthThatTakes(taken * share_);
+            slab.depth[c] = depthThatTakes(taken * share);
         }
         out.push_back(slab);
-        open_ = false;
-    }
-
-    /// If a slab that begins at `at` is not to be cut: takes all of it, or ends the one
-    /// that is open because it does not fit.
-    bool takeWhole(Lists& lists, float at, std::vector<Slab>& out) {
-        // Which list has it cannot be foreseen, so no branch asks.
-        unsigned whole = 0;
-        for (std::size_t k = 0; k < 4; ++k) {
-            const bool isShort = limits_.thin | (lists.length(k) <= shortest_);
-            whole |= unsigned(isShort & (lists.low[k] <= at)) << k;
-        }
-        if (whole == 0) return false;
-        const auto k = std::size_t(std::countr_zero(whole));
-        const float thickest = thickest_ + share_ * lists.thickest(k);
-        if (high_ > low_ && (thickest > limits_.depth || lists.high[k] > end_)) {
-            close(out);
-        } else {
-            add(lists, k, lists.high[k], 1.0f);
-            lists.take(k);
-        }
-        return true;
+        open.any = false;
     }
 
     /// Takes what lies from `at` to where a list's slab begins or ends, or the one that
     /// is open has to.
-    void advance(Lists& lists, float at, std::vector<Slab>& out) {
-        float to = std::max(end_, at + shortest_), density = 0.0f;
-        for (std::size_t k = 0; k < lists.count(); ++k) {
-            if (lists.low[k] > at) {
-                to = std::min(to, lists.low[k]);
+    void advance(Fronts& fronts, float at, float share, Open& open, List& out) const {
+        float to = std::max(open.end, at + open.shortest), density = 0.0f;
+        for (const Slab<kChannels>* slab : fronts) {
+            if (slab->low > at) {
+                to = std::min(to, slab->low);
             } else {
-                to = std::min(to, lists.high[k]);
-                density += share_ * lists.thickest(k) / lists.length(k);
+                to = std::min(to, slab->high);
+                density += share * slab->thickest() / slab->length();
             }
         }
-        const float left = std::max(limits_.depth - thickest_, 0.0f);
+        const float left = std::max(limits_.depth - open.thickest, 0.0f);
         if (density * (to - at) > left)
-            to = std::min(to, at + std::max(left / density, shortest_));
-        for (std::size_t k = 0; k < lists.count(); ++k) {
-            if (lists.low[k] > at) continue;
+            to = std::min(to, at + std::max(left / density, open.shortest));
+        for (std::size_t k = 0; k < 4; ++k) {
+            Slab<kChannels>& slab = *fronts[k];
+            if (slab.low > at) continue;
             // All of it, too, where floats do not tell the ends of the part.
-            const bool cut = to > at && to < lists.high[k];
-            const float part = cut ? (to - at) / lists.length(k) : 1.0f;
-            add(lists, k, std::min(to, lists.high[k]), part);
+            const bool cut = to > at && to < slab.high;
+            const float part = cut ? (to - at) / slab.length() : 1.0f;
+            take(open, slab, k, std::min(to, slab.high), part, share);
             if (!cut) {
-                lists.take(k);
+                ++fronts[k];
                 continue;
             }
-            lists.low[k] = to;
-            for (float& d : lists.depth[k])
+            slab.low = to;
+            for (float& d : slab.depth)
                 d *= 1.0f - part;
         }
-        if (thickest_ >= 0.999f * limits_.depth || to >= end_) close(out);
+        if (open.thickest >= 0.999f * limits_.depth || to >= open.end)
+            close(open, share, out);
     }
 
-    /// A part of the first slab of list k, up to `high`.
-    void add(const Lists& lists, std::size_t k, float high, float part) {
-        high_ = std::max(high_, high);
+    /// A part of a slab of list k, up to `high`.
+    static void take(Open& open, const Slab<kChannels>& slab, std::size_t k, float high,
+                     float part, float share) {
+        open.high = std::max(open.high, high);
         float thickest = 0.0f;
         for (std::uint32_t c = 0; c < kChannels; ++c) {
-            const float depth = part * lists.depth[k][c];
-            depth_[k][c] += depth;
+            const float depth = part * slab.depth[c];
+            open.depth[k][c] += depth;
             thickest = std::max(thickest, depth);
         }
-        thickest_ += share_ * thickest;
-        moment_ += share_ * thickest * (0.5f * (lists.low[k] + high) - low_);
+        open.thickest += share * thickest;
+        open.moment += share * thickest * (0.5f * (slab.low + high) - open.low);
     }
 
     Limits limits_;
-    float share_ = 1.0f;  // of a child in the area
-    // The slab that is open: from low_ to high_ so far, to end_ at most. What its
-    // thickest channel has, mean over the children.
-    bool open_ = false;
-    float low_ = 0.0f, high_ = 0.0f, end_ = 0.0f, shortest_ = 0.0f, thickest_ = 0.0f;
-    float moment_ = 0.0f;                                  // of that, about low_
-    std::array<std::array<float, kChannels>, 4> depth_{};  // [child][channel]
+    List slabs_;  // of all lists, each with kEnd behind
+    std::size_t begin_[4] = {}, count_ = 0;
 };
 
 /// Level 1 of a face, level 0 being read a texel's four pixels at a time.
 template <std::uint32_t kChannels>
-class PixelMerger {
-  public:
-    PixelMerger(const ShadowMap& map, std::uint32_t face, Kind kind, Limits limits)
-        : map_(map), face_(face), kind_(kind), pixels_(map, face), merger_(limits) {}
-
-    void operator()(std::uint32_t x, std::uint32_t y, std::vector<Slab>& slabs) {
-        const std::uint32_t width = map_.info().width, height = map_.info().height;
-        DensityTexel texels[4];
-        std::size_t count = 0;
-        words_.clear();
-        for (std::uint32_t v = 2 * y; v < std::min(2 * y + 2, height); ++v) {
-            for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, width); ++u) {
-                pixels_.read(map_.pixel(face_, u, v), u, v, kind_, slabs);
-                DensityTexel& texel = texels[count++];
-                const std::size_t begin = words_.size();
-                texel = pack(slabs, kChannels, words_);
-                texel.begin = std::uint32_t(begin);
-            }
-        }
-        slabs.clear();
-        if (words_.empty()) return;
-        lists_.clear();
-        for (std::size_t k = 0; k < count; ++k)
-            lists_.add(words_, texels[k]);
-        merger_.merge(lists_, slabs);
-    }
-
-  private:
-    const ShadowMap& map_;
-    std::uint32_t face_;
-    Kind kind_;
-    PixelSlabs pixels_;
-    Merger<kChannels> merger_;
-    ListReaders<kChannels> lists_;
-    std::vector<std::uint32_t> words_;
-};
-
-template <std::uint32_t kChannels>
 bool makeLevel1(const ShadowMap& map, std::uint32_t face, Kind kind, Limits limits,
                 DensityLevel& level) {
-    level.width = (map.info().width + 1) / 2;
-    level.height = (map.info().height + 1) / 2;
-    return makeLevel(kChannels, level,
-                     [&] { return PixelMerger<kChannels>(map, face, kind, limits); });
+    const std::uint32_t width = map.info().width, height = map.info().height;
+    level.width = (width + 1) / 2;
+    level.height = (height + 1) / 2;
+    const PixelSlabs<kChannels> pixels(map, face);
+    return makeLevel<kChannels>(level, [&] {
+        return [&, merger = Merger<kChannels>(limits)](std::uint32_t x, std::uint32_t y,
+                                                       Slabs<kChannels>& slabs) mutable {
+            merger.clear();
+            for (std::uint32_t v = 2 * y; v < std::min(2 * y + 2, height); ++v) {
+                for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, width); ++u) {
+                    merger.add([&](Slabs<kChannels>& list) {
+                        const std::size_t first = list.size();
+                        pixels.read(map.pixel(face, u, v), u, v, kind, list);
+                        // As level 0 would keep them.
+                        for (std::size_t i = first; i < list.size(); ++i)
+                            list[i] = decode<kChannels>(encode(list[i]));
+                    });
+                }
+            }
+            merger.merge(slabs);
+        };
+    });
 }
 
 template <std::uint32_t kChannels>
 bool makeCoarser(const DensityLevel& fine, Limits limits, DensityLevel& level) {
     level.width = (fine.width + 1) / 2;
     level.height = (fine.height + 1) / 2;
-    return makeLevel(kChannels, level, [&] {
-        return [&, merger = Merger<kChannels>(limits), lists = ListReaders<kChannels>()](
-                   std::uint32_t x, std::uint32_t y, std::vector<Slab>& slabs) mutable {
-            lists.clear();
+    return makeLevel<kChannels>(level, [&] {
+        return [&, merger = Merger<kChannels>(limits)](std::uint32_t x, std::uint32_t y,
+                                                       Slabs<kChannels>& slabs) mutable {
+            merger.clear();
             for (std::uint32_t v = 2 * y; v < std::min(2 * y + 2, fine.height); ++v) {
-                for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, fine.width); ++u)
-                    lists.add(fine.slabs, fine.texel(u, v));
+                for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, fine.width); ++u) {
+                    merger.add([&](Slabs<kChannels>& list) {
+                        unpack(fine, fine.at(u, v), list);
+                    });
+                }
             }
-            merger.merge(lists, slabs);
+            merger.merge(slabs);
         };
     });
 }
 
+/// Are there layers that a map of media keeps as sheets?
+template <std::uint32_t kChannels>
+bool hasSheets(const ShadowMap& map, std::uint32_t face) {
+    const PixelSlabs<kChannels> pixels(map, face);
+    std::atomic<bool> found = false;
+    base::parallelFor(std::uint32_t(0), map.info().height, [&](std::uint32_t y) {
+        for (std::uint32_t x = 0; x < map.info().width && !found; ++x) {
+            if (pixels.hasSheets(map.pixel(face, x, y))) found = true;
+        }
+    });
+    return found;
+}
+
+template <std::uint32_t kChannels>
 bool makePyramid(const ShadowMap& map, std::uint32_t face, Kind kind,
                  const DensityOptions& options, DensityPyramid& pyramid) {
     const Projection& p = map.projection(face);
-    const bool colour = map.info().channels == 3;
+    const bool sheetsAlone = map.info().translucent == Translucent::sheets;
+    if (kind == Kind::media ? sheetsAlone
+                            : !sheetsAlone && !hasSheets<kChannels>(map, face))
+        return true;
     pyramid.levels.emplace_back();
     if (options.finest == 0) {
-        if (!makePixels(map, face, kind, pyramid.levels[0])) return false;
+        if (!makePixels<kChannels>(map, face, kind, pyramid.levels[0])) return false;
     } else {
-        const auto level1 = colour ? makeLevel1<3> : makeLevel1<1>;
         pyramid.levels.emplace_back();
-        if (!level1(map, face, kind, limitsOf(p, options, kind, 1), pyramid.levels[1]))
+        if (!makeLevel1<kChannels>(map, face, kind, limitsOf(p, options, kind, 1),
+                                   pyramid.levels[1]))
             return false;
     }
     if (pyramid.levels.back().slabs.size() == kLanes) {
         pyramid = {};
         return true;
     }
-    pyramid.low = HUGE_VALF;
-    pyramid.high = -HUGE_VALF;
-    for (const DensityTexel& texel : pyramid.levels.back().texels) {
-        pyramid.low = std::min(pyramid.low, texel.low);
-        pyramid.high = std::max(pyramid.high, texel.high);
-    }
-    const auto coarser = colour ? makeCoarser<3> : makeCoarser<1>;
+    pyramid.low = pyramid.levels.back().base;
+    pyramid.high = pyramid.low + 65535.0f * pyramid.levels.back().step;
     while (pyramid.levels.back().width > 1 || pyramid.levels.back().height > 1) {
         const auto i = std::uint32_t(pyramid.levels.size());
         DensityLevel level;
         const Limits limits = limitsOf(p, options, kind, i);
-        if (!coarser(pyramid.levels.back(), limits, level)) return false;
+        if (!makeCoarser<kChannels>(pyramid.levels.back(), limits, level)) return false;
         if (i <= options.finest) pyramid.levels.back() = {};
         pyramid.levels.push_back(std::move(level));
     }
@@ -620,9 +697,9 @@ Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
     DensityOptions present = options;
     present.finest = tree.finest_ = std::min(options.finest, coarsest);
     const bool indexable = std::uint64_t(tree.width_) * tree.height_ <= kMostTexels;
-    if (!indexable ||
-        (!tree.ofSheets_ && !makePyramid(map, face, Kind::media, present, tree.media_)) ||
-        !makePyramid(map, face, Kind::sheets, present, tree.sheets_))
+    const auto make = tree.channels_ == 3 ? makePyramid<3> : makePyramid<1>;
+    if (!indexable || !make(map, face, Kind::media, present, tree.media_) ||
+        !make(map, face, Kind::sheets, present, tree.sheets_))
         return base::makeError(
             ErrorCode::tooLarge, "face ", face,
             " has too many pixels or layers for a density tree: bake with a "

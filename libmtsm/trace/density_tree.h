@@ -50,10 +50,14 @@ struct DensityOptions {
 /// of it are numbers.
 inline constexpr float kDarkDepth = 1000.0f;
 
-/// A list of slabs, and the w between which all of them lie: (inf, -inf) without slabs.
+/// A list of slabs, and between which w all of them lie.
 struct DensityTexel {
-    float low = 0.0f, high = 0.0f;
-    std::uint32_t begin = 0, count = 0;  ///< where the list is in DensityLevel::slabs
+    static constexpr std::uint32_t kEmpty = 0xffffu;
+
+    /// Steps of the level, whole numbers: the lower 16 bits up to where they begin, the
+    /// upper up to where they end; kEmpty without slabs.
+    std::uint32_t range = kEmpty;
+    std::uint32_t begin = 0;  ///< where the list is in DensityLevel::slabs
 };
 
 /// One resolution. Texels lie in tiles of 8 x 8, tiles and the texels of each row by row:
@@ -73,8 +77,10 @@ struct DensityLevel {
     static constexpr int kDensityShift = 14;
 
     std::uint32_t width = 0, height = 0;
-    std::vector<DensityTexel> texels;  ///< [tilesY][tilesX][8][8]
+    /// [tilesY][tilesX][8][8], and one more, whose list would be the next.
+    std::vector<DensityTexel> texels;
     std::vector<std::uint32_t> slabs;
+    float base = 0.0f, step = 1.0f;  ///< w of DensityTexel::range: base + step n
 
     [[nodiscard]] std::uint32_t tilesX() const noexcept {
         return (width + 7) >> kTileShift;
@@ -82,11 +88,20 @@ struct DensityLevel {
     [[nodiscard]] std::uint32_t tilesY() const noexcept {
         return (height + 7) >> kTileShift;
     }
-    [[nodiscard]] const DensityTexel& texel(std::uint32_t x,
-                                            std::uint32_t y) const noexcept {
+    /// The number of a texel.
+    [[nodiscard]] std::size_t at(std::uint32_t x, std::uint32_t y) const noexcept {
         const std::size_t tile =
             std::size_t(y >> kTileShift) * tilesX() + (x >> kTileShift);
-        return texels[tile * 64 + (y & 7) * 8 + (x & 7)];
+        return tile * 64 + (y & 7) * 8 + (x & 7);
+    }
+    [[nodiscard]] std::uint32_t words(std::size_t texel) const noexcept {
+        return texels[texel + 1].begin - texels[texel].begin;
+    }
+    [[nodiscard]] float low(std::size_t texel) const noexcept {
+        return base + step * float(texels[texel].range & 0xffffu);
+    }
+    [[nodiscard]] float high(std::size_t texel) const noexcept {
+        return base + step * float(texels[texel].range >> 16);
     }
 };
 
@@ -126,7 +141,7 @@ class DensityTree {
 };
 
 /// The finest level that rays of receivers need beside a near field, which answers until
-/// a pixel is an eighth of the light.
+/// a pixel is a third to an eighth of the light.
 inline constexpr std::uint32_t kFinestBesideNear = 1;
 
 enum class DensityUse {

@@ -1,8 +1,9 @@
 // As the kernel of triangles (near_trace.cpp) goes: the boxes are walked with the box
 // around all rays' parts; for each chunk that is left the receivers are found, sixteen at
-// a time, whose own rays may meet it; for each of those the chunk's segments are seen
-// from it, sixteen at once; and each that its light may shine through is tested against
-// sixteen rays at once.
+// a time, whose own pyramid of rays may meet it; for each of those its segments are taken
+// whose boxes the pyramid may meet. They wait until sixteen are together: these are seen
+// from the receiver at once, and each that its light may shine through is tested against
+// its rays, sixteen at once, where those of a row may meet it at all.
 //
 // The receiver's own strand is told by its segments being joined end to end, because
 // they carry no ids. So those that are close to a receiver wait until all of them are
@@ -26,6 +27,7 @@
 #define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "trace/hair_trace.cpp"
+#include "hwy/cache_control.h"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
 #include "trace/lanes-inl.h"
@@ -70,6 +72,7 @@ HWY_INLINE Vec between(Vec a, Vec b, Vec t) {
 struct Segments {
     alignas(64) float at[2][3][kSegments];  // [end][axis][segment]
     alignas(64) float half[2][kSegments];
+    alignas(64) float opacity[kSegments];  // 65535ths; 0: there is none
     std::uint32_t present = 0;
 
     Segments() {}  // of none
@@ -92,14 +95,37 @@ struct Segments {
                                   hn::ConvertTo(d, hn::PromoteTo(whole, q))),
                           d, half[e] + i);
             }
+            const auto q = hn::LoadU(words, chunk.opacity + i);
+            const Vec share = hn::ConvertTo(d, hn::PromoteTo(whole, q));
+            hn::Store(share, d, opacity + i);
+            present |= bitsOf(hn::Gt(share, hn::Zero(d))) << i;
         }
-        for (int i = 0; i < kSegments; ++i)
-            present |= std::uint32_t(chunk.opacity[i] > 0) << i;
     }
     [[nodiscard]] Vec3 load(int end, std::size_t i) const {
         const Floats d;
         return {hn::Load(d, at[end][0] + i), hn::Load(d, at[end][1] + i),
                 hn::Load(d, at[end][2] + i)};
+    }
+};
+
+/// Segments that wait for a receiver to look at them, from its start.
+struct WaitingSegments {
+    static constexpr int kRoom = 2 * kSegments;
+    int count = 0;
+    alignas(64) float at[2][3][kRoom + kLanes];  // [end][axis]
+    alignas(64) float half[2][kRoom + kLanes];
+    alignas(64) float opacity[kRoom + kLanes];  // 65535ths
+
+    /// Takes the first `n` off.
+    void drop(int n) {
+        const auto move = [&](float* of) { std::copy(of + n, of + count, of); };
+        for (int e = 0; e < 2; ++e) {
+            for (int axis = 0; axis < 3; ++axis)
+                move(at[e][axis]);
+            move(half[e]);
+        }
+        move(opacity);
+        count -= n;
     }
 };
 
@@ -110,6 +136,7 @@ struct SeenSegments {
     alignas(64) float alongU[kSegments], alongV[kSegments];
     alignas(64) float acrossU[kSegments], acrossV[kSegments];
     alignas(64) float wide[kSegments], widen[kSegments];  // at 0, and how much more at 1
+    float depth[kSegments];
 };
 
 /// Segments that may be of a receiver's own strand.
@@ -165,10 +192,6 @@ class HairWalk {
   public:
     HairWalk(const NearHair& hair, const HairView& view, RayBundle& rays)
         : hair_(hair), view_(view), rays_(rays) {
-        for (int axis = 0; axis < 3; ++axis) {
-            std::fill_n(low_[axis], kMostReceivers, kInfinity);
-            std::fill_n(high_[axis], kMostReceivers, -kInfinity);
-        }
         for (int receiver = 0; receiver < rays.receivers; ++receiver) {
             if (!(rays.wide >> receiver & 1)) setUp(receiver);
         }
@@ -176,8 +199,11 @@ class HairWalk {
 
     void run() {
         if (lanesLeft_ && !hair_.levels.empty()) node(hair_.levels.size() - 1, 0);
-        for (std::uint32_t rest = lanesLeft_; rest; rest &= rest - 1)
-            meetClose(std::countr_zero(rest));
+        for (std::uint32_t rest = lanesLeft_; rest; rest &= rest - 1) {
+            const int lane = std::countr_zero(rest);
+            if (waiting_[lane].count > 0) look(lane);
+            meetClose(lane);
+        }
     }
     /// Adds what was met.
     void settle(float darkDepth, std::uint32_t channels, RayDepths& depths);
@@ -195,6 +221,7 @@ class HairWalk {
 
     void setUp(int receiver);
     void node(std::size_t level, std::size_t index);
+    static void fetch(const NearHairChunk& chunk);
     [[nodiscard]] std::uint32_t lanesAt(const NearBoxes& boxes, int i) const;
     [[nodiscard]] bool isAround(const NearBoxes& boxes, int i, int lane) const;
     void chunk(const NearHairChunk& chunk, std::uint32_t lanes, std::uint32_t around);
@@ -209,25 +236,36 @@ class HairWalk {
     [[nodiscard]] std::uint32_t meets(int lane, const CloseSegments& close,
                                       const CloseLines& lines, int i, bool own,
                                       const Vec3& ray) const;
-    [[nodiscard]] std::uint32_t look(int lane, const Segments& segments,
-                                     SeenSegments& seen) const;
+    [[nodiscard]] std::uint32_t candidates(int lane, const Segments& segments) const;
+    void wait(int lane, const Segments& segments, std::uint32_t which);
+    void look(int lane);
+    [[nodiscard]] std::uint32_t see(int lane, SeenSegments& seen) const;
     struct Slope {
         Vec u, v;
     };
     [[nodiscard]] Slope facing(int lane, const Vec (&first)[2], Vec eu, Vec ev) const;
     void across(int lane, Slope ray, const Vec3& way, Vec (&side)[2]) const;
     [[nodiscard]] float depthOf(std::uint16_t opacity);
-    void cross(int lane, const SeenSegments& seen, int i, float depth);
+    /// What the rays of a row have in common, and how far they are from that at most,
+    /// slopes.
+    struct RowBounds {
+        float u, v, reachU, reachV;
+    };
+    [[nodiscard]] RowBounds boundsOf(int row) const;
+    void cross(int lane, const SeenSegments& seen, std::uint32_t found);
+    void crossRow(int row, const SeenSegments& seen, std::uint32_t which);
 
     const NearHair& hair_;
     const HairView& view_;
     RayBundle& rays_;
     float hullLow_[3] = {kInfinity, kInfinity, kInfinity};
     float hullHigh_[3] = {-kInfinity, -kInfinity, -kInfinity};
-    /// Boxes around what rays pass of the near field, [axis][receiver]; of receivers
-    /// without any empty.
-    alignas(64) float low_[3][kMostReceivers], high_[3][kMostReceivers];
+    /// What the receivers' places may be off by, [axis][receiver].
+    alignas(64) float margin_[3][kMostReceivers] = {};
     float least_[kMostReceivers];  // w above the start from which on strands count
+    /// Pixels in u and v that a ribbon reaches from its middle line at most, for each
+    /// half width.
+    float reach_[2][kMostReceivers];
     std::uint32_t lanesLeft_ = 0;
     // Hair is mostly of one opacity, and logarithms take long.
     std::uint16_t lastOpacity_ = 0;
@@ -235,7 +273,10 @@ class HairWalk {
     /// [row][lane], of receivers in lanesLeft_.
     alignas(64) float slopeU_[kMostRows][kLanes], slopeV_[kMostRows][kLanes];
     alignas(64) float met_[kMostRows][kLanes];
+    RowBounds bounds_[kMostRows];  // of receivers in bounded_
+    std::uint32_t bounded_ = 0;
     CloseSegments close_[kMostReceivers];
+    WaitingSegments waiting_[kMostReceivers];
 };
 
 void HairWalk::setUp(int receiver) {
@@ -267,11 +308,22 @@ void HairWalk::setUp(int receiver) {
         const float margin =
             kMargin * (std::abs(start[axis]) +
                        rise * std::max(std::abs(lows[axis]), std::abs(highs[axis])));
-        low_[axis][receiver] = start[axis] + std::min(0.0f, lows[axis] * rise) - margin;
-        high_[axis][receiver] = start[axis] + std::max(0.0f, highs[axis] * rise) + margin;
-        hullLow_[axis] = std::min(hullLow_[axis], low_[axis][receiver]);
-        hullHigh_[axis] = std::max(hullHigh_[axis], high_[axis][receiver]);
+        margin_[axis][receiver] = margin;
+        hullLow_[axis] = std::min(
+            hullLow_[axis], start[axis] + std::min(0.0f, lows[axis] * rise) - margin);
+        hullHigh_[axis] = std::max(
+            hullHigh_[axis], start[axis] + std::max(0.0f, highs[axis] * rise) + margin);
     }
+    // The unit normal that across() turns level becomes sqrt(1 + x^2) long at most.
+    const auto reach = [&](int axis, float scale, float offset) {
+        const float per = (view_.perspective ? w : 1.0f) / scale;
+        const float aside = view_.perspective ? (start[axis] - offset) / scale : 0.0f;
+        const float x = std::max(std::abs(lows[axis] * per - aside),
+                                 std::abs(highs[axis] * per - aside));
+        return 1.01f * std::abs(scale) * std::sqrt(1.0f + x * x);
+    };
+    reach_[0][receiver] = reach(0, view_.scaleU, view_.offsetU);
+    reach_[1][receiver] = reach(1, view_.scaleV, view_.offsetV);
 }
 
 void HairWalk::node(std::size_t level, std::size_t index) {
@@ -288,10 +340,18 @@ void HairWalk::node(std::size_t level, std::size_t index) {
         }
         found |= bitsOf(overlap) << i;
     }
+    std::uint32_t lanesOf[NearBoxes::kChildren];
+    for (std::uint32_t rest = found; rest; rest &= rest - 1) {
+        const int i = std::countr_zero(rest);
+        lanesOf[i] = lanesAt(boxes, i) & lanesLeft_;
+        if (lanesOf[i] == 0)
+            found &= ~(1u << i);
+        else if (level == 0)
+            fetch(hair_.chunks[NearBoxes::kChildren * index + std::size_t(i)]);
+    }
     for (; found; found &= found - 1) {
         const int i = std::countr_zero(found);
-        const std::uint32_t lanes = lanesAt(boxes, i) & lanesLeft_;
-        if (lanes == 0) continue;
+        const std::uint32_t lanes = lanesOf[i];
         const std::size_t child = NearBoxes::kChildren * index + std::size_t(i);
         if (level > 0) {
             node(level - 1, child);
@@ -303,6 +363,14 @@ void HairWalk::node(std::size_t level, std::size_t index) {
         }
         chunk(hair_.chunks[child], lanes, around);
     }
+}
+
+/// Asks for a chunk's memory before it is needed.
+void HairWalk::fetch(const NearHairChunk& chunk) {
+    constexpr std::size_t kLine = 64;
+    const auto* const bytes = reinterpret_cast<const char*>(&chunk);
+    for (std::size_t at = 0; at < sizeof(chunk) + kLine - 1; at += kLine)
+        hwy::Prefetch(bytes + std::min(at, sizeof(chunk) - 1));
 }
 
 /// May a receiver lie on a strand of the box, or within a width of it?
@@ -318,15 +386,30 @@ bool HairWalk::isAround(const NearBoxes& boxes, int i, int lane) const {
 /// Receivers whose rays may meet something in the box.
 std::uint32_t HairWalk::lanesAt(const NearBoxes& boxes, int i) const {
     const Floats d;
+    const Vec zero = hn::Zero(d);
     std::uint32_t lanes = 0;
     for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
-        Mask may = hn::Le(hn::Load(d, low_[0] + k), hn::Set(d, boxes.high[0][i]));
-        for (int axis = 0; axis < 3; ++axis) {
-            may = hn::And(may, hn::Le(hn::Load(d, low_[axis] + k),
-                                      hn::Set(d, boxes.high[axis][i])));
-            may = hn::And(may, hn::Ge(hn::Load(d, high_[axis] + k),
-                                      hn::Set(d, boxes.low[axis][i])));
-        }
+        const auto from = [&](const float* start, int axis, bool high) {
+            const Vec margin = hn::Load(d, margin_[axis] + k);
+            const Vec way =
+                hn::Sub(hn::Set(d, high ? boxes.high[axis][i] : boxes.low[axis][i]),
+                        hn::Load(d, start + k));
+            return high ? hn::Add(way, margin) : hn::Sub(way, margin);
+        };
+        // The part of its rise that the rays share with the box.
+        const Vec first = hn::Max(from(rays_.w, 2, false), zero);
+        const Vec last = hn::Min(from(rays_.w, 2, true), hn::Load(d, rays_.rise + k));
+        Mask may = hn::Le(first, last);
+        const auto meets = [&](int axis, const float* start, const float* low,
+                               const float* high) {
+            const Vec l = hn::Load(d, low + k), h = hn::Load(d, high + k);
+            may = hn::And(may, hn::Le(from(start, axis, false),
+                                      hn::Max(hn::Mul(h, first), hn::Mul(h, last))));
+            may = hn::And(may, hn::Ge(from(start, axis, true),
+                                      hn::Min(hn::Mul(l, first), hn::Mul(l, last))));
+        };
+        meets(0, rays_.u, rays_.slopeLowU, rays_.slopeHighU);
+        meets(1, rays_.v, rays_.slopeLowV, rays_.slopeHighV);
         lanes |= bitsOf(may) << k;
     }
     return lanes;
@@ -336,16 +419,88 @@ std::uint32_t HairWalk::lanesAt(const NearBoxes& boxes, int i) const {
 void HairWalk::chunk(const NearHairChunk& chunk, std::uint32_t lanes,
                      std::uint32_t around) {
     const Segments segments(chunk);
-    SeenSegments seen;
     for (; lanes; lanes &= lanes - 1) {
         const int lane = std::countr_zero(lanes);
-        std::uint32_t found = look(lane, segments, seen);
+        std::uint32_t found = candidates(lane, segments);
         if (around >> lane & 1) found &= ~putAside(lane, chunk, segments);
-        for (; found; found &= found - 1) {
-            const int i = std::countr_zero(found);
-            cross(lane, seen, i, depthOf(chunk.opacity[i]));
-        }
+        if (found) wait(lane, segments, found);
     }
+}
+
+/// Segments whose boxes the receiver's pyramid of rays may meet.
+std::uint32_t HairWalk::candidates(int lane, const Segments& segments) const {
+    const Floats d;
+    const Vec least = hn::Set(d, least_[lane]), rise = hn::Set(d, rays_.rise[lane]);
+    std::uint32_t found = 0;
+    for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
+        const auto from = [&](float start, int axis, Vec& low, Vec& high) {
+            const Vec s = hn::Set(d, start);
+            const Vec a = hn::Sub(hn::Load(d, segments.at[0][axis] + i), s);
+            const Vec b = hn::Sub(hn::Load(d, segments.at[1][axis] + i), s);
+            low = hn::Min(a, b), high = hn::Max(a, b);
+        };
+        Vec low, high;
+        from(rays_.w[lane], 2, low, high);
+        const Vec first = hn::Max(low, least), last = hn::Min(high, rise);
+        Mask may = hn::Le(first, last);
+        const Vec half =
+            hn::Max(hn::Load(d, segments.half[0] + i), hn::Load(d, segments.half[1] + i));
+        const auto meets = [&](int axis, float start, float slopeLow, float slopeHigh) {
+            from(start, axis, low, high);
+            const Vec l = hn::Set(d, slopeLow), h = hn::Set(d, slopeHigh);
+            const Vec reach = hn::Add(hn::Mul(half, hn::Set(d, reach_[axis][lane])),
+                                      hn::Set(d, margin_[axis][lane]));
+            may = hn::And(may, hn::Le(hn::Sub(low, reach),
+                                      hn::Max(hn::Mul(h, first), hn::Mul(h, last))));
+            may = hn::And(may, hn::Ge(hn::Add(high, reach),
+                                      hn::Min(hn::Mul(l, first), hn::Mul(l, last))));
+        };
+        meets(0, rays_.u[lane], rays_.slopeLowU[lane], rays_.slopeHighU[lane]);
+        meets(1, rays_.v[lane], rays_.slopeLowV[lane], rays_.slopeHighV[lane]);
+        found |= bitsOf(may) << i;
+    }
+    return found & segments.present;
+}
+
+/// Puts some segments of a chunk with those that wait, and looks if there are enough.
+void HairWalk::wait(int lane, const Segments& segments, std::uint32_t which) {
+    const Floats d;
+    WaitingSegments& waiting = waiting_[lane];
+    const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
+    for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
+        const Mask mask = maskOf(which >> i);
+        const auto put = [&](Vec x, float* to) {
+            hn::StoreU(hn::Compress(x, mask), d, to + waiting.count);
+        };
+        for (int e = 0; e < 2; ++e) {
+            for (int axis = 0; axis < 3; ++axis)
+                put(hn::Sub(hn::Load(d, segments.at[e][axis] + i),
+                            hn::Set(d, start[axis])),
+                    waiting.at[e][axis]);
+            put(hn::Load(d, segments.half[e] + i), waiting.half[e]);
+        }
+        put(hn::Load(d, segments.opacity + i), waiting.opacity);
+        waiting.count += int(hn::CountTrue(d, mask));
+    }
+    if (waiting.count >= kSegments) look(lane);
+}
+
+/// Has the receiver's rays meet the first of the segments that wait.
+void HairWalk::look(int lane) {
+    WaitingSegments& waiting = waiting_[lane];
+    SeenSegments seen;
+    const std::uint32_t found = see(lane, seen);
+    if (!(bounded_ >> lane & 1)) {
+        bounded_ |= 1u << lane;
+        for (int group = 0; group < rays_.groups; ++group)
+            bounds_[rays_.row(lane, group)] = boundsOf(rays_.row(lane, group));
+    }
+    for (std::uint32_t rest = found; rest; rest &= rest - 1) {
+        const int i = std::countr_zero(rest);
+        seen.depth[i] = depthOf(std::uint16_t(waiting.opacity[i]));
+    }
+    if (found) cross(lane, seen, found);
+    waiting.drop(std::min(waiting.count, kSegments));
 }
 
 /// Segments that wait for meetClose(): those close to the receiver, while there is room.
@@ -496,19 +651,18 @@ std::uint32_t HairWalk::within(int lane, const Segments& segments, float halves)
     return found & segments.present;
 }
 
-/// Segments that the receiver's rays may meet.
-std::uint32_t HairWalk::look(int lane, const Segments& segments,
-                             SeenSegments& seen) const {
+/// Which of the first segments that wait the receiver's rays may meet.
+std::uint32_t HairWalk::see(int lane, SeenSegments& seen) const {
     const Floats d;
+    const WaitingSegments& segments = waiting_[lane];
+    const int count = std::min(segments.count, kSegments);
     const Vec zero = hn::Zero(d), one = hn::Set(d, 1.0f);
-    const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
     std::uint32_t found = 0;
     for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
         Vec a[3], b[3];
         for (int axis = 0; axis < 3; ++axis) {
-            const Vec s = hn::Set(d, start[axis]);
-            a[axis] = hn::Sub(hn::Load(d, segments.at[0][axis] + i), s);
-            b[axis] = hn::Sub(hn::Load(d, segments.at[1][axis] + i), s);
+            a[axis] = hn::Load(d, segments.at[0][axis] + i);
+            b[axis] = hn::Load(d, segments.at[1][axis] + i);
         }
         // The part between t0 and t1 counts.
         Vec t0 = zero, t1 = one;
@@ -575,7 +729,7 @@ std::uint32_t HairWalk::look(int lane, const Segments& segments,
         hn::Store(half[0], d, seen.wide + i);
         hn::Store(hn::Sub(half[1], half[0]), d, seen.widen + i);
     }
-    return found & segments.present;
+    return found & ((1u << count) - 1);
 }
 
 /// The slope of the ray that a ribbon faces: of those that the receiver has, the one
@@ -622,27 +776,90 @@ float HairWalk::depthOf(std::uint16_t opacity) {
     return lastDepth_;
 }
 
-/// Adds `depth` to the receiver's rays that pass through a segment.
-void HairWalk::cross(int lane, const SeenSegments& seen, int i, float depth) {
+HairWalk::RowBounds HairWalk::boundsOf(int row) const {
     const Floats d;
-    const Vec firstU = hn::Set(d, seen.firstU[i]), firstV = hn::Set(d, seen.firstV[i]);
-    const Vec alongU = hn::Set(d, seen.alongU[i]), alongV = hn::Set(d, seen.alongV[i]);
-    const Vec acrossU = hn::Set(d, seen.acrossU[i]),
-              acrossV = hn::Set(d, seen.acrossV[i]);
-    const Vec wide = hn::Set(d, seen.wide[i]), widen = hn::Set(d, seen.widen[i]);
-    const Vec more = hn::Set(d, depth), one = hn::Set(d, 1.0f), zero = hn::Zero(d);
+    const auto bounds = [&](const float* slopes, float& middle, float& reach) {
+        Vec low = hn::Set(d, kInfinity), high = hn::Set(d, -kInfinity);
+        for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
+            const Mask open = maskOf(std::uint32_t(rays_.open[row]) >> k);
+            const Vec x = hn::Load(d, slopes + k);
+            low = hn::Min(low, hn::IfThenElse(open, x, low));
+            high = hn::Max(high, hn::IfThenElse(open, x, high));
+        }
+        const float least = hn::GetLane(hn::MinOfLanes(d, low));
+        const float most = hn::GetLane(hn::MaxOfLanes(d, high));
+        middle = 0.5f * (least + most);
+        reach = (1.0f + 0x1p-16f) * std::max(most - middle, middle - least);
+    };
+    RowBounds of;
+    bounds(slopeU_[row], of.u, of.reachU);
+    bounds(slopeV_[row], of.v, of.reachV);
+    return of;
+}
+
+/// Has the rays of the rows of a receiver meet segments of `found`.
+void HairWalk::cross(int lane, const SeenSegments& seen, std::uint32_t found) {
+    const Floats d;
+    std::uint32_t which[kMostRows] = {};
+    for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
+        // More rows rather than what rounding may hide.
+        const Vec rounding = hn::Set(d, 0x1p-16f), one = hn::Set(d, 1.0f + 0x1p-16f);
+        const auto load = [&](const float* of) { return hn::Load(d, of + i); };
+        const Vec firstU = load(seen.firstU), firstV = load(seen.firstV);
+        const Vec alongU = load(seen.alongU), alongV = load(seen.alongV);
+        const Vec acrossU = load(seen.acrossU), acrossV = load(seen.acrossV);
+        const Vec wide = load(seen.wide);
+        const Vec widest = hn::Max(wide, hn::Add(wide, load(seen.widen)));
+        for (int group = 0; group < rays_.groups; ++group) {
+            const RowBounds& row = bounds_[rays_.row(lane, group)];
+            const Vec u = hn::Sub(hn::Set(d, row.u), firstU);
+            const Vec v = hn::Sub(hn::Set(d, row.v), firstV);
+            const Vec reachU = hn::MulAdd(hn::Abs(u), rounding, hn::Set(d, row.reachU));
+            const Vec reachV = hn::MulAdd(hn::Abs(v), rounding, hn::Set(d, row.reachV));
+            // Of the row's middle, and how far its rays are from that.
+            const Vec along = hn::MulAdd(u, alongU, hn::Mul(v, alongV));
+            const Vec across = hn::MulAdd(u, acrossU, hn::Mul(v, acrossV));
+            const Vec alongReach =
+                hn::MulAdd(reachU, hn::Abs(alongU), hn::Mul(reachV, hn::Abs(alongV)));
+            const Vec acrossReach = hn::MulAdd(
+                reachU, hn::Abs(acrossU), hn::MulAdd(reachV, hn::Abs(acrossV), widest));
+            // Not told apart: what is not a number.
+            Mask off = hn::Gt(hn::Abs(across), acrossReach);
+            off = hn::Or(off, hn::Lt(hn::Add(along, alongReach), hn::Neg(rounding)));
+            off = hn::Or(off, hn::Gt(hn::Sub(along, alongReach), one));
+            which[group] |= (~bitsOf(off) & ((1u << hn::Lanes(d)) - 1)) << i;
+        }
+    }
     for (int group = 0; group < rays_.groups; ++group) {
         const int row = rays_.row(lane, group);
-        for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
-            const Vec u = hn::Sub(hn::Load(d, slopeU_[row] + k), firstU);
-            const Vec v = hn::Sub(hn::Load(d, slopeV_[row] + k), firstV);
-            const Vec t = hn::Add(hn::Mul(u, alongU), hn::Mul(v, alongV));
-            const Vec off = hn::Add(hn::Mul(u, acrossU), hn::Mul(v, acrossV));
-            const Mask inside = hn::Le(hn::Abs(off), hn::Add(wide, hn::Mul(t, widen)));
+        if (rays_.open[row] != 0 && (which[group] & found))
+            crossRow(row, seen, which[group] & found);
+    }
+}
+
+/// Adds the depths of some segments to the rays of a row that pass through them.
+void HairWalk::crossRow(int row, const SeenSegments& seen, std::uint32_t which) {
+    const Floats d;
+    const Vec one = hn::Set(d, 1.0f), zero = hn::Zero(d);
+    for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
+        const Vec slopeU = hn::Load(d, slopeU_[row] + k);
+        const Vec slopeV = hn::Load(d, slopeV_[row] + k);
+        Vec met = hn::Load(d, met_[row] + k);
+        for (std::uint32_t rest = which; rest; rest &= rest - 1) {
+            const int i = std::countr_zero(rest);
+            const auto of = [&](const float* x) { return hn::Set(d, x[i]); };
+            const Vec u = hn::Sub(slopeU, of(seen.firstU));
+            const Vec v = hn::Sub(slopeV, of(seen.firstV));
+            const Vec t =
+                hn::Add(hn::Mul(u, of(seen.alongU)), hn::Mul(v, of(seen.alongV)));
+            const Vec off =
+                hn::Add(hn::Mul(u, of(seen.acrossU)), hn::Mul(v, of(seen.acrossV)));
+            const Vec wide = hn::Add(of(seen.wide), hn::Mul(t, of(seen.widen)));
+            const Mask inside = hn::Le(hn::Abs(off), wide);
             const Mask hit = hn::And(inside, hn::And(hn::Ge(t, zero), hn::Le(t, one)));
-            const Vec before = hn::Load(d, met_[row] + k);
-            hn::Store(hn::Add(before, hn::IfThenElseZero(hit, more)), d, met_[row] + k);
+            met = hn::Add(met, hn::IfThenElseZero(hit, of(seen.depth)));
         }
+        hn::Store(met, d, met_[row] + k);
     }
 }
 

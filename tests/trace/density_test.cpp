@@ -669,8 +669,7 @@ TEST_CASE("a density tree is the same for any number of threads", "[trace]") {
                 bool same = true;
                 for (std::size_t t = 0; t < a[i].texels.size(); ++t) {
                     const DensityTexel &x = a[i].texels[t], &y = b[i].texels[t];
-                    same = same && x.low == y.low && x.high == y.high &&
-                           x.begin == y.begin && x.count == y.count;
+                    same = same && x.range == y.range && x.begin == y.begin;
                 }
                 CHECK(same);
             }
@@ -865,4 +864,29 @@ TEST_CASE("an empty map has an empty density tree", "[trace]") {
     ray.origin = {0, 0, -5};
     ray.delta = {0, 0, 4};
     CHECK(traceAll(map, tree, {ray})[0][0] == 1.0);
+}
+
+TEST_CASE("what a ray leaves of the light is exp(-depth) or nothing, on every processor",
+          "[trace][exact]") {
+    const float threshold = 1.0f / 1024;
+    const float some[] = {0.0f, 1e-30f, 1e-3f, 0.5f, 3.0f, 6.9f, 7.0f, kDarkDepth};
+    std::uint16_t followed[2] = {0x00ff, 0}, clear[2] = {0x0300, 0x8001};
+    onEachTarget([&](const char* target) {
+        INFO(target);
+        const auto depths = std::make_unique<RayDepths>();
+        for (int row = 0; row < 2; ++row) {
+            for (int i = 0; i < kLanes; ++i)
+                depths->depth[0][row][i] = some[i % 8];
+        }
+        seeThrough(2, 1, threshold, followed, clear, *depths);
+        for (int i = 0; i < kLanes; ++i) {
+            const double left = std::exp(-double(some[i % 8]));
+            const double expected = i >= 8             ? double(i < 10)
+                                    : left > threshold ? left
+                                                       : 0.0;
+            CHECK(std::abs(depths->depth[0][0][i] - expected) <= 0x1p-22 * expected);
+            CHECK(depths->depth[0][1][i] == float(i == 0 || i == 15));
+        }
+        CHECK(depths->depth[0][0][0] == 1.0f);  // what meets nothing is lit
+    });
 }

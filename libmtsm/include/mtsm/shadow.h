@@ -33,13 +33,15 @@
 // (mtsm/near_field.h), what lies within 32 pixel footprints of depth above the receiver
 // is met exactly, of slender leaves up to 256 while the light, seen through the receiver,
 // is less than 8 pixels wide; beside strands (maps of one face) and sheets
-// (mtsm/near_sheets.h) up to where it is 8 pixels wide. The strand on which a receiver
-// lies, in whichever of its segments, does not darken it within a width from there; so
-// give the very point where a renderer's rays start. Visibility of media and sheets is
-// kept to .0004. Of six faces each is followed by itself, sheets at the border between
-// two by both. Attenuation::subtract, maps of more than 2^28 layers, and points further
-// than 8 windows outside the view or closer to the light than any layer are followed ray
-// by ray: ShadowMethod::scalar, the definition, which knows no near field.
+// (mtsm/near_sheets.h) up to where it is 8 pixels wide, beside strands 3 to 8, the less
+// the fewer samples there are (half of their root): layers filter their noise. The
+// strand on which a receiver lies, in whichever of its segments, does not darken it
+// within a width from there; so give the very point where a renderer's rays start.
+// Visibility of media and sheets is kept to .0004. Of six faces each is followed by
+// itself, sheets at the border between two by both. Attenuation::subtract, maps of more
+// than 2^28 layers, and points further than 8 windows outside the view or closer to the
+// light than any layer are followed ray by ray: ShadowMethod::scalar, the definition,
+// which knows no near field.
 //
 // Rays of your own (visibility, visibilities) go the same way, those of a batch that
 // follow each other from one origin together. Each counts for itself, down to the finest
