@@ -684,7 +684,7 @@ class Casters(ToolTest):
             self.skipTest("no generator of volumes was built")
         subprocess.run([make, "--size", "16", "-o", "smoke.vdb"], check=True, stderr=subprocess.DEVNULL)
         shadow = {}
-        # Fog has an error of its own, not that of hair, of which a map does not tell it.
+        # Volumes have an error of their own, not that of hair.
         done = self.good(self.bake("smoke.vdb", "--target-error", 0.005, "--json"))
         self.assertNotIn("warning", done.stderr)
         self.assertAlmostEqual(json.loads(done.stdout)["quality"]["mapError"], 0.001 * (1024 / 64) ** 0.5, places=6)
