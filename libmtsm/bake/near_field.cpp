@@ -88,7 +88,8 @@ Status bakeNearField(Visits& visits, const BakeOptions& options, const CasterKin
     for (std::size_t i = 0; i < faces.size() && !others; ++i) {
         MapFace& face = faces[i];
         const std::uint64_t left = budget - std::min(budget, bytes);
-        const auto found = collect(visits, face.projection, options, left, bytesLeft);
+        const auto found = collect(visits, face.projection, options, left,
+                                   bytesLeft - std::min(bytesLeft, bytes));
         if (!found) return found.error();
         others = found->others;
         report.nearTriangles += found->triangles.count;

@@ -16,7 +16,7 @@ struct CoordinateParts {
     static constexpr bool kInPlace = false;
     static constexpr std::uint64_t kMostPoints = 0;
 
-    static std::uint64_t memoryBytes(std::uint64_t chunks) {
+    static std::uint64_t memoryBytes(std::uint64_t chunks, std::uint64_t) {
         // Twice: by part, and all together.
         return 2 * NearSheetChunks::memoryBytes(chunks, NearChunks::kCorners);
     }
@@ -72,6 +72,7 @@ struct CoordinateParts {
                                       rest[(count + i) * kCoordinates + k] << 8);
             chunks.push_back(c);
         }
+        chunks.shrink_to_fit();
         return {};
     }
 };

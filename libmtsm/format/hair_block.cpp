@@ -107,7 +107,7 @@ struct HairParts {
     using Chunks = std::vector<NearHairChunk>;
     static constexpr bool kInPlace = true;
     static constexpr std::uint64_t kMostPoints = 0;
-    static std::uint64_t memoryBytes(std::uint64_t chunks) {
+    static std::uint64_t memoryBytes(std::uint64_t chunks, std::uint64_t) {
         return nearHairBytes(chunks);
     }
     static bool checkPoints(std::uint64_t points, std::uint64_t) { return points == 0; }

@@ -133,6 +133,7 @@ Status decodeContent(const PartLayout<const std::uint8_t>& from, NearChunks& chu
         chunks.push_back(low, step, point.data(), count, number.data());
     }
     if (at != from.points) return bad(from.points - at, " points that no corner names");
+    chunks.shrink_to_fit();
     return {};
 }
 
@@ -140,10 +141,17 @@ struct TriangleParts {
     using Chunks = NearChunks;
     static constexpr bool kInPlace = false;
     static constexpr std::uint64_t kMostPoints = kCorners;  // of a chunk
-    /// Twice: by part, and all together.
-    static std::uint64_t memoryBytes(std::uint64_t chunks) {
-        return nearFieldBytes(chunks, kCorners) +
-               NearChunks::memoryBytes(chunks, kCorners);
+    /// Twice: by part, and all together. At most so: as many chunks as points allow have
+    /// more of them than can be shared.
+    static std::uint64_t memoryBytes(std::uint64_t chunks, std::uint64_t points) {
+        constexpr std::uint64_t kShared = NearChunks::kMostShared;
+        const std::uint64_t unshared = std::min(chunks, points / (kShared + 1));
+        const std::uint64_t shared =
+            std::min(points - (kShared + 1) * unshared, kShared * (chunks - unshared));
+        const std::uint64_t once = NearChunks::memoryBytes(chunks - unshared, 0) +
+                                   NearChunks::memoryBytes(unshared, kCorners) +
+                                   shared * sizeof(Point);
+        return 2 * once + nearFieldBytes(chunks, 0) - NearChunks::memoryBytes(chunks, 0);
     }
     static bool checkPoints(std::uint64_t points, std::uint64_t chunks) {
         return points >= chunks && points <= kMostPoints * chunks;

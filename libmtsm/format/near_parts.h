@@ -5,7 +5,7 @@
 //   Chunks                             many of them
 //   kInPlace                           they are a vector: decode() fills in elements
 //   kMostPoints                        what NearPart::points may be for one
-//   memoryBytes(chunks)                that they may take, boxes and work included
+//   memoryBytes(chunks, points)        that they may take, boxes and work included
 //   checkPoints(points, chunks)        may a part say so?
 //   contentBytes(chunks, points)       of a part, before its compression
 //   contentOf(chunks, first, count, points)
@@ -127,32 +127,43 @@ struct PartIndex {
     std::vector<BytesView> stored;
 };
 
-/// The chunks of all faces are no more than payload and memory allow.
+/// Chunks of so many points, in parts, are no more than memory allows.
 template <typename Kind>
-Status checkChunkCounts(const std::vector<std::uint64_t>& chunks,
-                        std::uint32_t partChunks, std::uint64_t bytesLeft,
-                        std::uint64_t most) {
-    std::uint64_t parts = 0, memory = 0;
-    for (const std::uint64_t count : chunks) {
-        // Each part has a record: so no sum can overflow.
-        if (count / partChunks > bytesLeft / sizeof(NearPart))
-            return bad("claims ", count, " chunks, more than the block can hold");
-        parts += partsOf(count, partChunks);
-        memory += Kind::memoryBytes(count);
-    }
-    if (parts > bytesLeft / sizeof(NearPart))
-        return bad("claims ", parts, " parts, whose records do not fit in it");
+Status checkMemory(std::uint64_t chunks, std::uint64_t points, std::uint64_t parts,
+                   std::uint32_t partChunks, std::uint64_t most) {
     // Besides, what is known of each part, and for each thread the content of one.
     const auto threads =
         static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
-    memory += parts * (sizeof(ChunkPart) + sizeof(NearPart) + sizeof(BytesView)) +
-              std::min(parts, threads) *
-                  Kind::contentBytes(partChunks, Kind::kMostPoints * partChunks);
+    std::uint64_t part = sizeof(ChunkPart) + sizeof(NearPart) + sizeof(BytesView);
+    if (!Kind::kInPlace) part += sizeof(typename Kind::Chunks);
+    const std::uint64_t memory =
+        Kind::memoryBytes(chunks, points) + parts * part +
+        std::min(parts, threads) *
+            Kind::contentBytes(partChunks, Kind::kMostPoints * partChunks);
     if (memory > most)
         return base::makeError(ErrorCode::tooLarge, "takes ", memory,
                                " bytes to decode, more than the ", most,
                                " that ReadLimits::maxBytes (--max-memory) leaves for it");
     return {};
+}
+
+/// The chunks of all faces are no more than payload and memory allow, however few points
+/// they have.
+template <typename Kind>
+Status checkChunkCounts(const std::vector<std::uint64_t>& chunks,
+                        std::uint32_t partChunks, std::uint64_t bytesLeft,
+                        std::uint64_t most) {
+    std::uint64_t parts = 0, all = 0;
+    for (const std::uint64_t count : chunks) {
+        // Each part has a record: so no sum can overflow.
+        if (count / partChunks > bytesLeft / sizeof(NearPart))
+            return bad("claims ", count, " chunks, more than the block can hold");
+        parts += partsOf(count, partChunks);
+        all += count;
+    }
+    if (parts > bytesLeft / sizeof(NearPart))
+        return bad("claims ", parts, " parts, whose records do not fit in it");
+    return checkMemory<Kind>(all, 0, parts, partChunks, most);
 }
 
 template <typename Kind>
@@ -177,8 +188,12 @@ Result<PartIndex> decodePartIndex(BytesView payload, std::size_t faces,
     index.parts = partsOf(index.chunks, fixed.partChunks);
     index.records.reserve(index.parts.size());
     index.stored.reserve(index.parts.size());
-    for (std::size_t i = 0; i < index.parts.size(); ++i)
+    std::uint64_t chunks = 0, points = 0;
+    for (const ChunkPart& part : index.parts) {
         index.records.push_back(in.get<NearPart>());
+        chunks += part.count;
+        points += index.records.back().points;
+    }
     for (std::size_t i = 0; i < index.parts.size(); ++i) {
         const NearPart& r = index.records[i];
         const std::size_t count = index.parts[i].count;
@@ -192,6 +207,10 @@ Result<PartIndex> decodePartIndex(BytesView payload, std::size_t faces,
         if (!in.ok()) return bad("part ", i, ": reaches past the end");
     }
     if (in.left() != 0) return bad(in.left(), " bytes are left over at its end");
+    if (auto s =
+            checkMemory<Kind>(chunks, points, index.parts.size(), fixed.partChunks, most);
+        !s)
+        return s.error();
     return index;
 }
 

@@ -71,6 +71,10 @@ void NearChunks::reserve(std::size_t chunks, std::size_t points) {
 }
 
 void NearChunks::append(NearChunks* parts, std::size_t count) {
+    if (empty() && count == 1) {
+        *this = std::exchange(parts[0], {});
+        return;
+    }
     std::size_t chunks = places_.size(),
                 used = words_.empty() ? 0 : words_.size() - kSpare;
     std::size_t words = used + kSpare;
@@ -78,8 +82,10 @@ void NearChunks::append(NearChunks* parts, std::size_t count) {
         chunks += parts[i].places_.size();
         words += parts[i].words_.size();
     }
-    places_.reserve(chunks);
-    words_.reserve(words);
+    // At least doubled: much may be appended, little at a time.
+    if (chunks > places_.capacity())
+        places_.reserve(std::max(chunks, 2 * places_.capacity()));
+    if (words > words_.capacity()) words_.reserve(std::max(words, 2 * words_.capacity()));
     for (std::size_t i = 0; i < count; ++i) {
         const NearChunks part = std::move(parts[i]);
         parts[i] = {};

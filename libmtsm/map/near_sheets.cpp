@@ -39,13 +39,18 @@ void NearSheetChunks::push_back(const NearSheetChunk& chunk) {
 }
 
 void NearSheetChunks::append(NearSheetChunks* parts, std::size_t count) {
+    if (places_.empty() && count == 1) {
+        *this = std::exchange(parts[0], {});
+        return;
+    }
     std::size_t chunks = places_.size(), words = words_.size();
     for (std::size_t i = 0; i < count; ++i) {
         chunks += parts[i].places_.size();
         words += parts[i].words_.size();
     }
-    places_.reserve(chunks);
-    words_.reserve(words);
+    if (chunks > places_.capacity())
+        places_.reserve(std::max(chunks, 2 * places_.capacity()));
+    if (words > words_.capacity()) words_.reserve(std::max(words, 2 * words_.capacity()));
     for (std::size_t i = 0; i < count; ++i) {
         const NearSheetChunks part = std::move(parts[i]);
         parts[i] = {};

@@ -10,7 +10,7 @@
 #define HWY_TARGET_INCLUDE "trace/density_trace.cpp"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
-//
+// After highway.h.
 #include "hwy/contrib/math/math-inl.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -670,7 +670,7 @@ void seeThroughAt(int rows, std::uint32_t channels, float threshold,
                 float* const at = depths.depth[c][row] + i;
                 const auto depth = hn::Load(d, at);
                 const auto left =
-                    hn::IfThenElse(hn::Gt(depth, zero), hn::Exp(d, hn::Neg(depth)), one);
+                    hn::IfThenElse(hn::Le(depth, zero), one, hn::Exp(d, hn::Neg(depth)));
                 const auto seen =
                     hn::IfThenElseZero(hn::Gt(left, hn::Set(d, threshold)), left);
                 const auto others =

@@ -242,7 +242,11 @@ class PixelSlabs {
         return float(std::sqrt(1.0 + c.x * c.x + c.y * c.y));
     }
 
-    [[nodiscard]] float straight(float z) const { return perspective_ ? 1.0f / z : -z; }
+    /// Bounded, so that neither sums nor lengths overflow.
+    [[nodiscard]] float straight(float z) const {
+        constexpr float kMost = 1e30f;
+        return perspective_ ? std::min(1.0f / z, kMost) : -std::min(z, kMost);
+    }
 
     static Slab<kChannels> between(float low, float high,
                                    const Depths<kChannels>& depth) {

@@ -65,12 +65,12 @@ struct DensityTexel {
 /// at word b is in three parts, so that a vector holds one of many:
 /// - b .. b + n: where slabs begin, floats, ascending;
 /// - the next n: two numbers each. The bits kLengthBits, moved down by one, are those of
-/// a
-///   float > 0, the length; the others, moved up by kDensityShift, those of one >= 0, the
-///   optical depth of channel 0 per unit of w. What lies between low and low + length, as
-///   floats add, is the slab;
-/// - in maps of three channels another n and another: the same of channels 1 and 2,
-/// floats. A vector's room of words lies behind the last list.
+///   a float > 0, the length; the others, moved up by kDensityShift, those of one >= 0,
+///   the optical depth of channel 0 per unit of w. What lies between low and low +
+///   length, as floats add, is the slab;
+/// - in maps of three channels another n and another: floats, the same of channels 1
+///   and 2.
+/// A vector's room of words lies behind the last list.
 struct DensityLevel {
     static constexpr std::uint32_t kTileShift = 3;
     static constexpr std::uint32_t kLengthBits = 0xfffe0000u;

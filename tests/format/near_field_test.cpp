@@ -112,6 +112,21 @@ TEST_CASE("a near field written by hand is the triangle that it says", "[format]
     }
 }
 
+TEST_CASE("what a near field of few points needs to be read is about twice what it takes",
+          "[format]") {
+    NearField field;
+    for (int i = 0; i < 2000; ++i)
+        field.chunks.push_back(NearChunk{});  // one point
+    const ShadowMap map = mapWith({field});
+    const Bytes file = encoded(map);
+    ReadLimits limits;
+    // Besides, for each of two parts what it might take when it is unpacked.
+    limits.maxBytes = map.memoryBytes() + memoryBytes(map.nearField(0)) + 900000;
+    CHECK(readBytes(file, limits));
+    limits.maxBytes = map.memoryBytes();
+    checkRefused(file, ErrorCode::tooLarge, "ReadLimits::maxBytes", limits);
+}
+
 TEST_CASE("a reader that wants no near field passes it over, but checks it",
           "[format][roundtrip]") {
     const ShadowMap map = mapWith({noisyField(40, true, 7)});

@@ -6,6 +6,7 @@
 #include <catch2/catch.hpp>
 #include <cmath>
 #include <glm/geometric.hpp>
+#include <limits>
 #include <memory>
 #include <random>
 #include <tuple>
@@ -307,6 +308,23 @@ TEST_CASE("a homogeneous slab gives exp(-s way) at any slant from texels of any 
                 }
             }
         }
+    }
+}
+
+TEST_CASE("a layer as far away as floats go leaves the others as they are",
+          "[trace][exact]") {
+    Projection view = parallel(64);
+    view.scale = {8, -8};
+    for (const float z : {1e30f, 2e38f, std::numeric_limits<float>::max()}) {
+        const ShadowMap map =
+            mapOf(mediaInfo(64), view, [&](std::uint32_t x, std::uint32_t y) {
+                std::vector<TestLayer> layers = slabOf(0.7, 4096, 1);
+                if (x == 20 && y == 30) layers.push_back({z, 0.0f, 1});
+                return layers;
+            });
+        const Ray up{{0.5, -0.5, -7}, {0, 0, 6}};
+        const auto visible = traceAll(map, treeOf(map), {up}, {});
+        CHECK(std::abs(visible[0][0] - std::exp(-0.7 * 4.0)) < 0.006);
     }
 }
 

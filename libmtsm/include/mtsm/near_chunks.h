@@ -5,7 +5,7 @@
 //             use(chunk.at(0, 0, t), chunk.at(0, 1, t), chunk.at(0, 2, t));   // u, v, w
 //     }
 //
-// NearChunk is one chunk, written out; NearChunks are many, in less than half of that.
+// NearChunk is one chunk, written out; NearChunks are many, of meshes in half of that.
 // Most corners of a chunk are corners of several of its triangles, and of 48 corners of a
 // mesh about 15 differ: each of these is kept once, and with every triangle which three
 // of them are its own. A chunk with more than 32 different ones, triangles that have

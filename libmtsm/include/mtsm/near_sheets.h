@@ -34,7 +34,7 @@ struct NearSheetChunk {
     }
 };
 
-/// Chunks in a row, in a quarter to all of that: texture coordinates that corners have in
+/// Chunks in a row, mostly in less than that: texture coordinates that corners have in
 /// common are kept once, as NearChunks keeps points. A chunk comes out as it went in.
 class NearSheetChunks {
   public:

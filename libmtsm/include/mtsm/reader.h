@@ -23,8 +23,9 @@ namespace mtsm {
 struct ReadLimits {
     /// Memory that is taken for tiles: the map that comes out (ShadowMap::memoryBytes())
     /// and, for each thread that decodes, the stored bytes of the largest tile and 8 to
-    /// 12 bytes for each of its layers or pixels; of a near field the stored bytes and,
-    /// for each thread, the largest of the parts that it is stored in. Not counted: the
+    /// 12 bytes for each of its layers or pixels; of a near field the stored bytes,
+    /// triangles once more, and, for each thread, the largest of the parts that it is
+    /// stored in. Not counted: the
     /// index and the hierarchy as they are stored, which are a part of the file, and what
     /// maxAttributeBytes bounds, each at most twice.
     std::uint64_t maxBytes = std::uint64_t(8) << 30;
