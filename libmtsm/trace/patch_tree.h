@@ -145,7 +145,8 @@ class PatchTree {
         float flatness = 0.3f;
     };
     /// The tree of an opaque map's face; the same for any number of threads. Throws
-    /// std::bad_alloc, also where groups or rows of coverage are more than 28 and 31 bits count.
+    /// std::bad_alloc, also where groups or rows of coverage are more than 28 and 31 bits
+    /// count.
     [[nodiscard]] static PatchTree build(const ShadowMap& map, std::uint32_t face,
                                          const Options& options);
 
