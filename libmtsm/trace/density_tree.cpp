@@ -150,6 +150,8 @@ struct Limits {
 constexpr double kMostOfDepth = 0.1;
 /// Slabs are cut to not less than this share of the longest they may be.
 constexpr float kShortestCut = 1.0f / 16;
+/// And this share of the longest, a texel's footprint, may be of any depth.
+constexpr float kTogether = 1.0f / 4;
 /// Sheets are merged over this many texel footprints, at any depth.
 constexpr double kSheetLength = 2.0;
 
@@ -189,7 +191,8 @@ class PixelSlabs {
     PixelSlabs(const ShadowMap& map, std::uint32_t face)
         : projection_(map.projection(face)),
           perspective_(projection_.kind == ProjectionKind::perspective),
-          sheets_(map.info().translucent == Translucent::sheets) {}
+          sheets_(map.info().translucent == Translucent::sheets),
+          strandsAlone_(!map.nearHair(face).empty() && map.nearField(face).empty()) {}
 
     /// Appends the slabs of pixel (x, y) of one kind, in order of w.
     void read(const PixelLayers& pixel, std::uint32_t x, std::uint32_t y, Kind kind,
@@ -202,7 +205,7 @@ class PixelSlabs {
             const bool restart = i == 0 || isDark(pixel, i - 1);
             const float high = i > 0 ? straight(pixel.z[i - 1]) : low;
             const bool one = !pixel.n || pixel.n[i] == 1;
-            if ((sheets_ || (one && dark) ? Kind::sheets : Kind::media) == kind)
+            if ((isSheet(dark && one) ? Kind::sheets : Kind::media) == kind)
                 add({pixel, i, dark, restart, one || i == 0, low, high}, way, out);
             dark = restart;
             low = high;
@@ -210,6 +213,7 @@ class PixelSlabs {
     }
     /// Are there slabs of sheets in a map of media?
     [[nodiscard]] bool hasSheets(const PixelLayers& pixel) const {
+        if (!isSheet(true)) return false;
         for (std::uint32_t i = 0; i < pixel.count; ++i) {
             if (isDark(pixel, i) && (!pixel.n || pixel.n[i] == 1)) return true;
         }
@@ -223,6 +227,12 @@ class PixelSlabs {
         bool dark, restart, single;
         float low, high;  // w of its depth and of that before
     };
+
+    /// `blocks`: of one sample, and dark. Where strands are all that there is, it is what
+    /// fills a pixel, and is one with what fills a part of the next.
+    [[nodiscard]] bool isSheet(bool blocks) const {
+        return sheets_ || (blocks && !strandsAlone_);
+    }
 
     static float v(const PixelLayers& pixel, std::uint32_t i, std::uint32_t c) {
         return pixel.v ? pixel.v[c * pixel.vStride + i] : 0.0f;
@@ -313,7 +323,7 @@ class PixelSlabs {
     }
 
     const Projection& projection_;
-    bool perspective_, sheets_;
+    bool perspective_, sheets_, strandsAlone_;
 };
 
 // --- merging ---------------------------------------------------------------------------
@@ -481,7 +491,8 @@ class Merger {
             const Slab<kChannels>& slab = *fronts[k];
             const float thickest = open.thickest + share * slab.thickest();
             if (open.high > open.low &&
-                (thickest > limits_.depth || slab.high > open.end)) {
+                ((thickest > limits_.depth && slab.high > open.together) ||
+                 slab.high > open.end)) {
                 close(open, share, out);
             } else {
                 take(open, slab, k, slab.high, 1.0f, share);
@@ -500,6 +511,7 @@ class Merger {
     struct Open {
         bool any = false;
         float low = 0.0f, high = 0.0f, end = 0.0f, shortest = 0.0f, thickest = 0.0f;
+        float together = 0.0f;
         float moment = 0.0f;                                  // of that, about `low`
         std::array<std::array<float, kChannels>, 4> depth{};  // [child][channel]
     };
@@ -510,6 +522,7 @@ class Merger {
         open.low = open.high = at;
         open.end = at + limits_.lengthAt(at);
         open.shortest = kShortestCut * limits_.lengthAt(at);
+        open.together = at + kTogether * limits_.lengthAt(at);
     }
 
     void close(Open& open, float share, List& out) const {

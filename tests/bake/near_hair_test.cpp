@@ -356,3 +356,36 @@ TEST_CASE("the shadow of hair is right beside the hair itself", "[bake][statisti
     CHECK(errorWith < 0.001);
     CHECK(errorWithout > 0.01);
 }
+
+TEST_CASE("strands wider than a pixel let through what is between them",
+          "[bake][exact]") {
+    Hair comb;  // half of it is gaps
+    for (int i = -30; i < 30; ++i) {
+        const auto x = float(0.02 * i);
+        comb.strand({{x, 0, -0.6f}, {x, 0, 0.6f}}, 0.01f, 1.0f);
+    }
+    std::vector<glm::dvec3> points;
+    Random random(3);
+    for (int i = 0; i < 300; ++i)
+        points.emplace_back(random.in(-0.3, 0.3), -1.0, random.in(-0.3, 0.3));
+    for (const double pixels : {2.5, 5.0}) {  // to a strand's width
+        BakeOptions o = lamp();
+        o.target = glm::dvec3(0, 0, 0);
+        o.width = o.height = std::uint32_t(1.4 * pixels / 0.01);
+        o.fov = 2.0 * std::atan(0.7 / o.light.position.y);
+        const Baked baked = mustBake({comb.view()}, o);
+        REQUIRE_FALSE(baked.map.nearHair(0).empty());
+        for (const int samples : {64, 256}) {
+            ShadowOptions query;
+            query.samples = samples;
+            std::vector<float> dark(points.size());
+            shadowFactors(baked.map, o.light, points.data(), nullptr, points.size(),
+                          dark.data(), query);
+            double mean = 0.0;
+            for (const float d : dark)
+                mean += d / double(points.size());
+            INFO(pixels << " pixels a strand, " << samples << " samples");
+            CHECK(std::abs(mean - 0.5) < 0.006);
+        }
+    }
+}
