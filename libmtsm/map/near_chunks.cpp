@@ -82,10 +82,8 @@ void NearChunks::append(NearChunks* parts, std::size_t count) {
         chunks += parts[i].places_.size();
         words += parts[i].words_.size();
     }
-    // At least doubled: much may be appended, little at a time.
-    if (chunks > places_.capacity())
-        places_.reserve(std::max(chunks, 2 * places_.capacity()));
-    if (words > words_.capacity()) words_.reserve(std::max(words, 2 * words_.capacity()));
+    map_detail::growTo(places_, chunks);
+    map_detail::growTo(words_, words);
     for (std::size_t i = 0; i < count; ++i) {
         const NearChunks part = std::move(parts[i]);
         parts[i] = {};

@@ -5,6 +5,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 #include "mtsm/near_chunks.h"
 
@@ -44,6 +45,13 @@ constexpr bool areShared(std::size_t points) {
 }
 constexpr std::size_t wordsOf(std::size_t axes, std::size_t points) {
     return areShared(points) ? kTriangles + axes * points : axes * kCorners;
+}
+
+/// Room for so many, and then for as many more as there was room for: much may be
+/// appended, little at a time.
+template <typename T>
+void growTo(std::vector<T>& list, std::size_t size) {
+    if (size > list.capacity()) list.reserve(std::max(size, 2 * list.capacity()));
 }
 
 template <std::size_t kAxes>

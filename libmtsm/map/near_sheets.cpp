@@ -48,9 +48,8 @@ void NearSheetChunks::append(NearSheetChunks* parts, std::size_t count) {
         chunks += parts[i].places_.size();
         words += parts[i].words_.size();
     }
-    if (chunks > places_.capacity())
-        places_.reserve(std::max(chunks, 2 * places_.capacity()));
-    if (words > words_.capacity()) words_.reserve(std::max(words, 2 * words_.capacity()));
+    map_detail::growTo(places_, chunks);
+    map_detail::growTo(words_, words);
     for (std::size_t i = 0; i < count; ++i) {
         const NearSheetChunks part = std::move(parts[i]);
         parts[i] = {};
