@@ -511,8 +511,8 @@ class Merger {
     struct Open {
         bool any = false;
         float low = 0.0f, high = 0.0f, end = 0.0f, shortest = 0.0f, thickest = 0.0f;
-        float together = 0.0f;
-        float moment = 0.0f;                                  // of that, about `low`
+        float together = 0.0f;  // what ends before it fits, however deep
+        float moment = 0.0f;    // of that, about `low`
         std::array<std::array<float, kChannels>, 4> depth{};  // [child][channel]
     };
 

@@ -10,18 +10,21 @@
 // take the same at any slant.
 //
 // Merging. At level 0 every layer is a slab. Above, slabs of a texel's four children that
-// lie about one another become one while it is short and thin (see DensityOptions). The
-// children's areas are apart, so light adds: the mean of the transmittance is kept, not
-// that of the depth, which would be too dark. So a strand that covers part of several
-// pixels is summed up before the logarithm, and what lies in other slabs is taken for
-// independent: there depths add. (Measured: tests/bench/NOTES.md.)
+// lie about one another become one while it is short and thin (see DensityOptions), or
+// within a texel's footprint of where it begins. The children's areas are apart, so light
+// adds: the mean of the transmittance is kept, not that of the depth, which would be too
+// dark. So a strand that covers part of several pixels is summed up before the logarithm,
+// and what lies in other slabs is taken for independent: there depths add. (Measured:
+// tests/bench/NOTES.md.)
 //
 // Sheets are never cut, and those that lie within some footprints of one another become
 // one at the mean of their depths.
 //
 // In a map of media the layers of one sample that are dark are sheets as well: they count
 // from elsewhere along a ray, are met within a bias, and take the same at any slant. They
-// have a pyramid of their own.
+// have a pyramid of their own. Not so where a near field says that strands are all that
+// there is: there they are what fills a pixel, and one with what fills a part of the
+// next.
 //
 // Built in parallel in the caller's oneTBB arena, the same for any number of threads.
 #pragma once

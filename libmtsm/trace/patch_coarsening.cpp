@@ -246,8 +246,9 @@ void Coarsening::addCover(Node& node, std::span<const PixelMask> masks, Parts& p
         count(mask, counts);
     const auto isPart = [full](std::uint32_t n) { return n > 0 && n < full; };
     node.shared = std::any_of(counts.begin(), counts.end(), isPart);
-    for (const PixelMask& mask : masks) {
-        if (node.shared) lean(mask, leans);
+    if (node.shared) {
+        for (const PixelMask& mask : masks)
+            lean(mask, leans);
     }
     std::uint16_t planes[kSharePlanes][kTexels];
     bool fills = true;

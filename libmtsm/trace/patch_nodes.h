@@ -15,6 +15,7 @@ namespace mtsm::trace::patch_detail {
 /// Neighbouring samples that differ by no more than this belong to one surface; no plane
 /// is steeper either. In pixel footprints per pixel.
 inline constexpr float kSteepest = 3.0f;
+
 struct Footprint {
     double perW = 0, constant = 0;  // of a pixel, in w
     [[nodiscard]] float at(double w) const {
