@@ -169,7 +169,7 @@ TEST_CASE(
         for (const bool nearField : {false, true}) {
             const ShadowMap map = mapOf(shape, nearField);
             Random random(1);
-            for (const int samples : {1, 20, 64, 300}) {
+            for (const int samples : {1, 3, 4, 20, 64, 300}) {
                 for (const Weight weight : {Weight::uniform, Weight::cosine}) {
                     for (const bool normals : {true, false}) {
                         INFO(name(shape)
