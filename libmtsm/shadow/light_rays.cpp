@@ -1,6 +1,7 @@
 #include "shadow/light_rays.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstring>
 
@@ -580,6 +581,36 @@ void setThresholds(std::uint32_t key, std::uint8_t* thresholds) {
     std::memcpy(thresholds, far, sizeof far);
 }
 
+/// A few rays go sideways much less than all that the light may have.
+void boundFew(int count, int each, trace::RayBundle& bundle) {
+    constexpr int kFirst = trace::kMostReceivers;
+    alignas(64) float u[trace::kMostReceivers * 4], v[trace::kMostReceivers * 4];
+    for (int i = 0; i < count * each; i += kN) {
+        const int row = kFirst + i / kLanes, lane = i % kLanes;
+        const Vec per = hn::Div(constant(1.0f), hn::Load(kF, bundle.dw[row] + lane));
+        hn::Store(hn::Mul(hn::Load(kF, bundle.du[row] + lane), per), kF, u + i);
+        hn::Store(hn::Mul(hn::Load(kF, bundle.dv[row] + lane), per), kF, v + i);
+    }
+    for (int receiver = 0; receiver < count; ++receiver) {
+        std::uint32_t open = bundle.open[receiver];
+        if (open == 0 || (bundle.wide >> receiver & 1)) continue;
+        float low[2] = {HUGE_VALF, HUGE_VALF}, high[2] = {-HUGE_VALF, -HUGE_VALF};
+        for (; open; open &= open - 1) {
+            const int i = receiver * each + std::countr_zero(open);
+            low[0] = std::min(low[0], u[i]), high[0] = std::max(high[0], u[i]);
+            low[1] = std::min(low[1], v[i]), high[1] = std::max(high[1], v[i]);
+        }
+        // What a slope is rounded by, many times.
+        const auto grow = [](float& least, float& most) {
+            const float margin = std::max(std::abs(least), std::abs(most)) * 0x1p-18f;
+            least -= margin, most += margin;
+        };
+        grow(low[0], high[0]), grow(low[1], high[1]);
+        bundle.slopeLowU[receiver] = low[0], bundle.slopeHighU[receiver] = high[0];
+        bundle.slopeLowV[receiver] = low[1], bundle.slopeHighV[receiver] = high[1];
+    }
+}
+
 /// A few rays each: those of several receivers in a vector, in rows that are free, and
 /// then to the rows that they belong to.
 void fillFew(const FillInput& in, int each, trace::RayBundle& bundle, RayFates& fates) {
@@ -620,6 +651,7 @@ void fillFew(const FillInput& in, int each, trace::RayBundle& bundle, RayFates& 
         bundle.open[receiver] = std::uint16_t(bundle.open[from] >> first & there);
         fates.clear[receiver] = std::uint16_t(fates.clear[from] >> first & there);
     }
+    boundFew(in.at.count, each, bundle);
 }
 
 /// All the rays of each receiver in turn.
