@@ -211,6 +211,10 @@ class Walk {
     Walk(const NearSheets& sheets, const SheetTraceOptions& options, RayBundle& rays,
          const float (*end)[kLanes], float (*visible)[kLanes])
         : sheets_(sheets), options_(options), rays_(rays), end_(end), visible_(visible) {
+        std::copy_n(rays.slopeLowU, kMostReceivers, lowU_);
+        std::copy_n(rays.slopeHighU, kMostReceivers, highU_);
+        std::copy_n(rays.slopeLowV, kMostReceivers, lowV_);
+        std::copy_n(rays.slopeHighV, kMostReceivers, highV_);
         for (int receiver = 0; receiver < rays.receivers; ++receiver)
             bound(receiver);
     }
@@ -224,6 +228,7 @@ class Walk {
     using Corners = float[3][2];  // texture coordinates, times w if perspective
 
     void bound(int receiver);
+    void narrow(int receiver);
     void boundWide(int receiver);
     [[nodiscard]] bool anyOpen(int receiver) const;
     void node(std::size_t level, std::size_t index, std::uint32_t lanes);
@@ -244,6 +249,10 @@ class Walk {
     const float (*const end_)[kLanes];
     float (*const visible_)[kLanes];
     std::uint32_t lanesLeft_ = 0;  ///< receivers with a ray that is open
+
+    /// As RayBundle's, [receiver]; of few rays their own.
+    alignas(64) float lowU_[kMostReceivers], highU_[kMostReceivers];
+    alignas(64) float lowV_[kMostReceivers], highV_[kMostReceivers];
 
     // Of all receivers that have an open ray, but wide ones.
     float hullStart_[3] = {kInfinity, kInfinity, kInfinity};
@@ -266,16 +275,37 @@ void Walk::bound(int receiver) {
     if (!anyOpen(receiver)) return;
     lanesLeft_ |= 1u << receiver;
     if (rays_.wide >> receiver & 1) return boundWide(receiver);
+    narrow(receiver);
     const float start[3] = {rays_.u[receiver], rays_.v[receiver], rays_.w[receiver]};
     for (int axis = 0; axis < 3; ++axis) {
         hullStart_[axis] = std::min(hullStart_[axis], start[axis]);
         hullLast_[axis] = std::max(hullLast_[axis], start[axis]);
     }
-    hullSlopes_[0] = std::min(hullSlopes_[0], rays_.slopeLowU[receiver]);
-    hullSlopes_[1] = std::max(hullSlopes_[1], rays_.slopeHighU[receiver]);
-    hullSlopes_[2] = std::min(hullSlopes_[2], rays_.slopeLowV[receiver]);
-    hullSlopes_[3] = std::max(hullSlopes_[3], rays_.slopeHighV[receiver]);
+    hullSlopes_[0] = std::min(hullSlopes_[0], lowU_[receiver]);
+    hullSlopes_[1] = std::max(hullSlopes_[1], highU_[receiver]);
+    hullSlopes_[2] = std::min(hullSlopes_[2], lowV_[receiver]);
+    hullSlopes_[3] = std::max(hullSlopes_[3], highV_[receiver]);
     hullRise_ = std::max(hullRise_, rays_.rise[receiver]);
+}
+
+/// Slopes that all of a receiver's rays have, if there are so few that this is less than
+/// the light.
+void Walk::narrow(int receiver) {
+    constexpr int kFew = 4;
+    const int row = rays_.row(receiver, 0);
+    std::uint32_t open = rays_.open[row];
+    if (rays_.groups > 1 || std::popcount(open) > kFew) return;
+    float slopes[4] = {kInfinity, -kInfinity, kInfinity, -kInfinity};
+    for (; open; open &= open - 1) {
+        const int i = std::countr_zero(open);
+        if (!(rays_.dw[row][i] > 0.0f)) return;
+        const float u = rays_.du[row][i] / rays_.dw[row][i];
+        const float v = rays_.dv[row][i] / rays_.dw[row][i];
+        slopes[0] = std::min(slopes[0], u), slopes[1] = std::max(slopes[1], u);
+        slopes[2] = std::min(slopes[2], v), slopes[3] = std::max(slopes[3], v);
+    }
+    lowU_[receiver] = slopes[0], highU_[receiver] = slopes[1];
+    lowV_[receiver] = slopes[2], highV_[receiver] = slopes[3];
 }
 
 void Walk::boundWide(int receiver) {
@@ -363,8 +393,7 @@ std::uint32_t Walk::lanesAt(const Vec3& low, const Vec3& high) const {
                                  u,
                                  v,
                                  w,
-                                 {load(rays_.slopeLowU), load(rays_.slopeHighU),
-                                  load(rays_.slopeLowV), load(rays_.slopeHighV)},
+                                 {load(lowU_), load(highU_), load(lowV_), load(highV_)},
                                  load(rays_.rise)};
         Mask may = pyramid.reaches(d, low, high);
         if (wide_ >> k & ((1u << hn::Lanes(d)) - 1)) {
@@ -415,8 +444,7 @@ std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
                              u,
                              v,
                              w,
-                             {set(rays_.slopeLowU), set(rays_.slopeHighU),
-                              set(rays_.slopeLowV), set(rays_.slopeHighV)},
+                             {set(lowU_), set(highU_), set(lowV_), set(highV_)},
                              set(rays_.rise)};
     const bool wide = wide_ >> lane & 1;
     for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
@@ -446,8 +474,7 @@ void Walk::cross16(int lane, std::size_t index, const Triangles& triangles,
     const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
     const SeenTriangles seen(triangles, start);
     const bool wide = wide_ >> lane & 1;
-    float slopes[4] = {rays_.slopeLowU[lane], rays_.slopeHighU[lane],
-                       rays_.slopeLowV[lane], rays_.slopeHighV[lane]};
+    const float slopes[4] = {lowU_[lane], highU_[lane], lowV_[lane], highV_[lane]};
     if (!wide && rays_.groups == 1) found &= seen.between(slopes);
     bool left = false;
     for (int group = 0; group < rays_.groups; ++group) {
