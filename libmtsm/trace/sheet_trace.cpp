@@ -36,7 +36,8 @@ namespace {
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 /// Of a crossing's coordinates: how far outside its triangle's box it may seem.
 constexpr float kOwnMargin = 0x1p-20f;
-/// The same of what passes boxes over; more than that and the rounding of both.
+/// Of a receiver's coordinates, and of all that its rays go: by how much its pyramid is
+/// larger; more than that and the rounding of both.
 constexpr float kMargin = 0x1p-18f;
 
 /// Slopes of rays, pixels per w, from the least to the most; the same in every lane or of
@@ -45,36 +46,30 @@ struct Slopes {
     Vec lowU, highU, lowV, highV;
 };
 
-/// Where the rays of some starts are, between some w.
+/// Where the rays of some starts are: more than that by what rounding may make of it.
 struct Pyramid {
-    Vec u, v, w;              // starts
-    Vec lastU, lastV, lastW;  // the last of several starts; else the same
+    Vec3 low, high;  // where they start
     Slopes slopes;
-    Vec rise;  // how far the rays go
+    Vec rise;  // how far they go
 
     /// May a ray be in a box?
-    [[nodiscard]] HWY_INLINE Mask reaches(Floats d, const Vec3& low,
-                                          const Vec3& high) const {
-        const Vec zero = hn::Zero(d), margin = hn::Set(d, kMargin);
-        const Vec more = hn::Mul(margin, hn::Add(hn::Abs(w), hn::Abs(lastW)));
-        const Vec least = hn::Max(zero, hn::Sub(hn::Sub(low.z, lastW), more));
-        const Vec most = hn::Min(rise, hn::Add(hn::Sub(high.z, w), more));
-        const auto meets = [&](Vec start, Vec last, Vec lowSlope, Vec highSlope,
-                               Vec lowEnd, Vec highEnd) {
-            const Vec a = hn::Mul(lowSlope, most), b = hn::Mul(highSlope, most);
-            const Vec rounding =
-                hn::Mul(margin, hn::Add(hn::Add(hn::Abs(start), hn::Abs(last)),
-                                        hn::Add(hn::Abs(a), hn::Abs(b))));
-            const Vec from =
-                hn::Sub(hn::Add(start, hn::Min(a, hn::Mul(lowSlope, least))), rounding);
-            const Vec to =
-                hn::Add(hn::Add(last, hn::Max(b, hn::Mul(highSlope, least))), rounding);
+    [[nodiscard]] HWY_INLINE Mask reaches(Floats d, const Vec3& boxLow,
+                                          const Vec3& boxHigh) const {
+        const Vec least = hn::Max(hn::Zero(d), hn::Sub(boxLow.z, high.z));
+        const Vec most = hn::Min(rise, hn::Sub(boxHigh.z, low.z));
+        const auto meets = [&](Vec from, Vec to, Vec lowSlope, Vec highSlope, Vec lowEnd,
+                               Vec highEnd) {
+            from = hn::Add(
+                from, hn::Min(hn::Mul(lowSlope, most), hn::Mul(lowSlope, least)));
+            to = hn::Add(to,
+                         hn::Max(hn::Mul(highSlope, most), hn::Mul(highSlope, least)));
             return hn::And(hn::Le(from, highEnd), hn::Ge(to, lowEnd));
         };
         return hn::And(
             hn::Le(least, most),
-            hn::And(meets(u, lastU, slopes.lowU, slopes.highU, low.x, high.x),
-                    meets(v, lastV, slopes.lowV, slopes.highV, low.y, high.y)));
+            hn::And(meets(low.x, high.x, slopes.lowU, slopes.highU, boxLow.x, boxHigh.x),
+                    meets(low.y, high.y, slopes.lowV, slopes.highV, boxLow.y,
+                          boxHigh.y)));
     }
 };
 
@@ -210,26 +205,25 @@ class Walk {
   public:
     Walk(const NearSheets& sheets, const SheetTraceOptions& options, RayBundle& rays,
          const float (*end)[kLanes], float (*visible)[kLanes])
-        : sheets_(sheets), options_(options), rays_(rays), end_(end), visible_(visible) {
-        std::copy_n(rays.slopeLowU, kMostReceivers, lowU_);
-        std::copy_n(rays.slopeHighU, kMostReceivers, highU_);
-        std::copy_n(rays.slopeLowV, kMostReceivers, lowV_);
-        std::copy_n(rays.slopeHighV, kMostReceivers, highV_);
-        for (int receiver = 0; receiver < rays.receivers; ++receiver)
-            bound(receiver);
-    }
+        : sheets_(sheets), options_(options), rays_(rays), end_(end), visible_(visible) {}
 
     void run() {
         const auto& levels = sheets_.triangles.levels;
-        if (lanesLeft_ && !levels.empty()) node(levels.size() - 1, 0, lanesLeft_);
+        if (levels.empty()) return;
+        const NearBoxes& top = levels.back()[0];
+        const float highest =
+            *std::max_element(top.high[2], top.high[2] + NearBoxes::kChildren);
+        for (int receiver = 0; receiver < rays_.receivers; ++receiver)
+            bound(receiver, highest);
+        if (lanesLeft_) node(levels.size() - 1, 0, lanesLeft_);
     }
 
   private:
-    using Corners = float[3][2];  // texture coordinates, times w if perspective
+    using PerReceiver = float[kMostReceivers];
 
-    void bound(int receiver);
-    void narrow(int receiver);
+    void bound(int receiver, float highest);
     void boundWide(int receiver);
+    void narrow(int receiver);
     [[nodiscard]] bool anyOpen(int receiver) const;
     void node(std::size_t level, std::size_t index, std::uint32_t lanes);
     [[nodiscard]] std::uint32_t childrenFor(const NearBoxes& boxes) const;
@@ -250,18 +244,16 @@ class Walk {
     float (*const visible_)[kLanes];
     std::uint32_t lanesLeft_ = 0;  ///< receivers with a ray that is open
 
-    /// As RayBundle's, [receiver]; of few rays their own.
-    alignas(64) float lowU_[kMostReceivers], highU_[kMostReceivers];
-    alignas(64) float lowV_[kMostReceivers], highV_[kMostReceivers];
-
-    // Of all receivers that have an open ray, but wide ones.
-    float hullStart_[3] = {kInfinity, kInfinity, kInfinity};
-    float hullLast_[3] = {-kInfinity, -kInfinity, -kInfinity};
+    // Pyramids around the rays of each receiver; wide ones have a box around their rays
+    // for a start, and go nowhere from there.
+    alignas(64) PerReceiver low_[3] = {}, high_[3] = {};  // [axis]
+    alignas(64) PerReceiver lowU_ = {}, highU_ = {}, lowV_ = {}, highV_ = {};
+    alignas(64) PerReceiver rise_ = {};
+    // Around all of them.
+    float hullLow_[3] = {kInfinity, kInfinity, kInfinity};
+    float hullHigh_[3] = {-kInfinity, -kInfinity, -kInfinity};
     float hullSlopes_[4] = {kInfinity, -kInfinity, kInfinity, -kInfinity};
     float hullRise_ = 0.0f;
-    std::uint32_t wide_ = 0;  ///< open ones that are
-    /// Boxes around the rays of wide receivers, [axis][receiver].
-    alignas(64) float wideLow_[3][kMostReceivers], wideHigh_[3][kMostReceivers];
 };
 
 bool Walk::anyOpen(int receiver) const {
@@ -271,25 +263,63 @@ bool Walk::anyOpen(int receiver) const {
     return open != 0;
 }
 
-void Walk::bound(int receiver) {
-    if (!anyOpen(receiver)) return;
-    lanesLeft_ |= 1u << receiver;
-    if (rays_.wide >> receiver & 1) return boundWide(receiver);
-    narrow(receiver);
-    const float start[3] = {rays_.u[receiver], rays_.v[receiver], rays_.w[receiver]};
-    for (int axis = 0; axis < 3; ++axis) {
-        hullStart_[axis] = std::min(hullStart_[axis], start[axis]);
-        hullLast_[axis] = std::max(hullLast_[axis], start[axis]);
+/// `highest`: the greatest w that triangles reach.
+void Walk::bound(int receiver, float highest) {
+    const int r = receiver;
+    if (!anyOpen(r)) return;
+    lanesLeft_ |= 1u << r;
+    if (rays_.wide >> r & 1) {
+        boundWide(r);
+    } else {
+        lowU_[r] = rays_.slopeLowU[r], highU_[r] = rays_.slopeHighU[r];
+        lowV_[r] = rays_.slopeLowV[r], highV_[r] = rays_.slopeHighV[r];
+        narrow(r);
+        rise_[r] = std::max(0.0f, std::min(rays_.rise[r], highest - rays_.w[r]));
+        rise_[r] += kMargin * rise_[r];
+        const float start[3] = {rays_.u[r], rays_.v[r], rays_.w[r]};
+        const float most[3] = {std::max(std::abs(lowU_[r]), std::abs(highU_[r])),
+                               std::max(std::abs(lowV_[r]), std::abs(highV_[r])), 1.0f};
+        for (int axis = 0; axis < 3; ++axis) {
+            const float margin =
+                kMargin * (std::abs(start[axis]) + rise_[r] * most[axis]);
+            low_[axis][r] = start[axis] - margin;
+            high_[axis][r] = start[axis] + margin;
+        }
     }
-    hullSlopes_[0] = std::min(hullSlopes_[0], lowU_[receiver]);
-    hullSlopes_[1] = std::max(hullSlopes_[1], highU_[receiver]);
-    hullSlopes_[2] = std::min(hullSlopes_[2], lowV_[receiver]);
-    hullSlopes_[3] = std::max(hullSlopes_[3], highV_[receiver]);
-    hullRise_ = std::max(hullRise_, rays_.rise[receiver]);
+    for (int axis = 0; axis < 3; ++axis) {
+        hullLow_[axis] = std::min(hullLow_[axis], low_[axis][r]);
+        hullHigh_[axis] = std::max(hullHigh_[axis], high_[axis][r]);
+    }
+    hullSlopes_[0] = std::min(hullSlopes_[0], lowU_[r]);
+    hullSlopes_[1] = std::max(hullSlopes_[1], highU_[r]);
+    hullSlopes_[2] = std::min(hullSlopes_[2], lowV_[r]);
+    hullSlopes_[3] = std::max(hullSlopes_[3], highV_[r]);
+    hullRise_ = std::max(hullRise_, rise_[r]);
 }
 
-/// Slopes that all of a receiver's rays have, if there are so few that this is less than
-/// the light.
+void Walk::boundWide(int receiver) {
+    for (int axis = 0; axis < 3; ++axis) {
+        low_[axis][receiver] = kInfinity;
+        high_[axis][receiver] = -kInfinity;
+    }
+    const float start[3] = {rays_.u[receiver], rays_.v[receiver], rays_.w[receiver]};
+    for (int group = 0; group < rays_.groups; ++group) {
+        const int row = rays_.row(receiver, group);
+        const float* const ways[3] = {rays_.du[row], rays_.dv[row], rays_.dw[row]};
+        for (std::uint32_t open = rays_.open[row]; open; open &= open - 1) {
+            const int i = std::countr_zero(open);
+            for (int axis = 0; axis < 3; ++axis) {
+                const float way = ways[axis][i] * end_[row][i];
+                const float margin = (std::abs(start[axis]) + std::abs(way)) * kMargin;
+                float &low = low_[axis][receiver], &high = high_[axis][receiver];
+                low = std::min(low, start[axis] + std::min(0.0f, way) - margin);
+                high = std::max(high, start[axis] + std::max(0.0f, way) + margin);
+            }
+        }
+    }
+}
+
+/// Few rays have slopes of their own, which are less than those of all of the light.
 void Walk::narrow(int receiver) {
     constexpr int kFew = 4;
     const int row = rays_.row(receiver, 0);
@@ -306,31 +336,6 @@ void Walk::narrow(int receiver) {
     }
     lowU_[receiver] = slopes[0], highU_[receiver] = slopes[1];
     lowV_[receiver] = slopes[2], highV_[receiver] = slopes[3];
-}
-
-void Walk::boundWide(int receiver) {
-    if (wide_ == 0) {
-        for (int axis = 0; axis < 3; ++axis) {
-            std::fill_n(wideLow_[axis], kMostReceivers, kInfinity);
-            std::fill_n(wideHigh_[axis], kMostReceivers, -kInfinity);
-        }
-    }
-    wide_ |= 1u << receiver;
-    const float start[3] = {rays_.u[receiver], rays_.v[receiver], rays_.w[receiver]};
-    for (int group = 0; group < rays_.groups; ++group) {
-        const int row = rays_.row(receiver, group);
-        const float* const ways[3] = {rays_.du[row], rays_.dv[row], rays_.dw[row]};
-        for (std::uint32_t open = rays_.open[row]; open; open &= open - 1) {
-            const int i = std::countr_zero(open);
-            for (int axis = 0; axis < 3; ++axis) {
-                const float way = ways[axis][i] * end_[row][i];
-                const float margin = (std::abs(start[axis]) + std::abs(way)) * kMargin;
-                float &low = wideLow_[axis][receiver], &high = wideHigh_[axis][receiver];
-                low = std::min(low, start[axis] + std::min(0.0f, way) - margin);
-                high = std::max(high, start[axis] + std::max(0.0f, way) + margin);
-            }
-        }
-    }
 }
 
 void Walk::node(std::size_t level, std::size_t index, std::uint32_t lanes) {
@@ -357,12 +362,8 @@ std::uint32_t Walk::childrenFor(const NearBoxes& boxes) const {
     const Floats d;
     std::uint32_t found = 0;
     const auto set = [&](float x) { return hn::Set(d, x); };
-    const Pyramid hull = {set(hullStart_[0]),
-                          set(hullStart_[1]),
-                          set(hullStart_[2]),
-                          set(hullLast_[0]),
-                          set(hullLast_[1]),
-                          set(hullLast_[2]),
+    const Pyramid hull = {broadcast(hullLow_),
+                          broadcast(hullHigh_),
                           {set(hullSlopes_[0]), set(hullSlopes_[1]), set(hullSlopes_[2]),
                            set(hullSlopes_[3])},
                           set(hullRise_)};
@@ -372,9 +373,8 @@ std::uint32_t Walk::childrenFor(const NearBoxes& boxes) const {
                         hn::LoadU(d, p[2] + i)};
         };
         const Vec3 low = load(boxes.low), high = load(boxes.high);
-        Mask may = hn::Le(low.x, high.x);
-        if (wide_ == 0) may = hn::And(may, hull.reaches(d, low, high));
-        found |= bitsOf(may) << i;
+        const Mask there = hn::Le(low.x, high.x);
+        found |= bitsOf(hn::And(there, hull.reaches(d, low, high))) << i;
     }
     return found;
 }
@@ -386,35 +386,22 @@ std::uint32_t Walk::lanesAt(const Vec3& low, const Vec3& high) const {
     std::uint32_t lanes = 0;
     for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
         const auto load = [&](const float* p) { return hn::Load(d, p + k); };
-        const Vec u = load(rays_.u), v = load(rays_.v), w = load(rays_.w);
-        const Pyramid pyramid = {u,
-                                 v,
-                                 w,
-                                 u,
-                                 v,
-                                 w,
+        const Pyramid pyramid = {{load(low_[0]), load(low_[1]), load(low_[2])},
+                                 {load(high_[0]), load(high_[1]), load(high_[2])},
                                  {load(lowU_), load(highU_), load(lowV_), load(highV_)},
-                                 load(rays_.rise)};
+                                 load(rise_)};
         Mask may = pyramid.reaches(d, low, high);
-        if (wide_ >> k & ((1u << hn::Lanes(d)) - 1)) {
-            Mask near = hn::And(hn::Le(load(wideLow_[0]), high.x),
-                                hn::Ge(load(wideHigh_[0]), low.x));
-            near = hn::And(near, hn::And(hn::Le(load(wideLow_[1]), high.y),
-                                         hn::Ge(load(wideHigh_[1]), low.y)));
-            near = hn::And(near, hn::And(hn::Le(load(wideLow_[2]), high.z),
-                                         hn::Ge(load(wideHigh_[2]), low.z)));
-            may = hn::Or(hn::And(near, maskOf(wide_ >> k)),
-                         hn::AndNot(maskOf(wide_ >> k), may));
-        }
-        if (rays_.hasPlanes) {
-            const auto higher = [&](Vec n, Vec start, Vec from, Vec to) {
-                return hn::Max(hn::Mul(n, hn::Sub(from, start)),
-                               hn::Mul(n, hn::Sub(to, start)));
+        if (rays_.hasPlanes && !hn::AllFalse(d, may)) {
+            const auto higher = [&](const float* plane, const float* start, Vec from,
+                                    Vec to) {
+                const Vec n = load(plane), at = load(start);
+                return hn::Max(hn::Mul(n, hn::Sub(from, at)),
+                               hn::Mul(n, hn::Sub(to, at)));
             };
             const Vec height =
-                hn::Add(hn::Add(higher(load(rays_.planeU), u, low.x, high.x),
-                                higher(load(rays_.planeV), v, low.y, high.y)),
-                        higher(load(rays_.planeW), w, low.z, high.z));
+                hn::Add(hn::Add(higher(rays_.planeU, rays_.u, low.x, high.x),
+                                higher(rays_.planeV, rays_.v, low.y, high.y)),
+                        higher(rays_.planeW, rays_.w, low.z, high.z));
             may = hn::And(may, hn::Gt(height, hn::Set(d, options_.height)));
         }
         lanes |= bitsOf(may) << k;
@@ -437,29 +424,22 @@ std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
     const Floats d;
     std::uint32_t found = 0;
     const auto set = [&](const float* p) { return hn::Set(d, p[lane]); };
-    const Vec u = set(rays_.u), v = set(rays_.v), w = set(rays_.w);
-    const Pyramid pyramid = {u,
-                             v,
-                             w,
-                             u,
-                             v,
-                             w,
+    const Pyramid pyramid = {{set(low_[0]), set(low_[1]), set(low_[2])},
+                             {set(high_[0]), set(high_[1]), set(high_[2])},
                              {set(lowU_), set(highU_), set(lowV_), set(highV_)},
-                             set(rays_.rise)};
-    const bool wide = wide_ >> lane & 1;
+                             set(rise_)};
     for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
-        const Vec3 low = Triangles::load(d, triangles.low, t);
-        const Vec3 high = Triangles::load(d, triangles.high, t);
-        Mask may = hn::Le(low.x, high.x);
-        if (!wide) may = pyramid.reaches(d, low, high);
-        if (rays_.hasPlanes) {
+        Mask may = pyramid.reaches(d, Triangles::load(d, triangles.low, t),
+                                   Triangles::load(d, triangles.high, t));
+        if (rays_.hasPlanes && !hn::AllFalse(d, may)) {
+            const Vec3 start = {set(rays_.u), set(rays_.v), set(rays_.w)};
             const Vec3 normal = {set(rays_.planeU), set(rays_.planeV), set(rays_.planeW)};
             const float least =
                 std::max(options_.height, triangles.roundingAbove(rays_, lane));
             Vec highest = hn::Set(d, -kInfinity);
             for (const auto& corner : triangles.corner) {
                 const Vec3 p = Triangles::load(d, corner, t);
-                highest = hn::Max(highest, dot(normal, subtract(p, {u, v, w})));
+                highest = hn::Max(highest, dot(normal, subtract(p, start)));
             }
             may = hn::And(may, hn::Gt(highest, hn::Set(d, least)));
         }
@@ -473,7 +453,7 @@ void Walk::cross16(int lane, std::size_t index, const Triangles& triangles,
                    std::uint32_t found) {
     const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
     const SeenTriangles seen(triangles, start);
-    const bool wide = wide_ >> lane & 1;
+    const bool wide = rays_.wide >> lane & 1;
     const float slopes[4] = {lowU_[lane], highU_[lane], lowV_[lane], highV_[lane]};
     if (!wide && rays_.groups == 1) found &= seen.between(slopes);
     bool left = false;
