@@ -59,17 +59,17 @@ struct Pyramid {
         const Vec most = hn::Min(rise, hn::Sub(boxHigh.z, low.z));
         const auto meets = [&](Vec from, Vec to, Vec lowSlope, Vec highSlope, Vec lowEnd,
                                Vec highEnd) {
-            from = hn::Add(
-                from, hn::Min(hn::Mul(lowSlope, most), hn::Mul(lowSlope, least)));
-            to = hn::Add(to,
-                         hn::Max(hn::Mul(highSlope, most), hn::Mul(highSlope, least)));
+            from =
+                hn::Add(from, hn::Min(hn::Mul(lowSlope, most), hn::Mul(lowSlope, least)));
+            to =
+                hn::Add(to, hn::Max(hn::Mul(highSlope, most), hn::Mul(highSlope, least)));
             return hn::And(hn::Le(from, highEnd), hn::Ge(to, lowEnd));
         };
         return hn::And(
             hn::Le(least, most),
-            hn::And(meets(low.x, high.x, slopes.lowU, slopes.highU, boxLow.x, boxHigh.x),
-                    meets(low.y, high.y, slopes.lowV, slopes.highV, boxLow.y,
-                          boxHigh.y)));
+            hn::And(
+                meets(low.x, high.x, slopes.lowU, slopes.highU, boxLow.x, boxHigh.x),
+                meets(low.y, high.y, slopes.lowV, slopes.highV, boxLow.y, boxHigh.y)));
     }
 };
 
@@ -164,8 +164,8 @@ HWY_INLINE Vec wrapped(Vec x, TextureWrap wrap) {
     return hn::Sub(x, hn::Floor(x));
 }
 
-/// OpacityTexture::opacity() without a footprint; finite whatever u and v are.
-HWY_INLINE Vec opacityAt(const NearTexture& texture, Vec u, Vec v) {
+/// OpacityTexture::opacity() without a footprint, for some lanes; finite u and v.
+HWY_INLINE Vec opacityAt(const NearTexture& texture, Vec u, Vec v, std::uint32_t lanes) {
     const Floats d;
     const hn::Rebind<std::int32_t, Floats> whole;
     const hn::Rebind<std::uint32_t, Floats> bits;
@@ -182,9 +182,21 @@ HWY_INLINE Vec opacityAt(const NearTexture& texture, Vec u, Vec v) {
     const auto column = hn::ConvertTo(whole, x), row = hn::ConvertTo(whole, y);
     const Vec acrossX = hn::Sub(x, hn::ConvertTo(d, column));
     const Vec acrossY = hn::Sub(y, hn::ConvertTo(d, row));
-    const auto index =
-        hn::Add(hn::Mul(row, hn::Set(whole, std::int32_t(texture.width) + 1)), column);
-    const auto texels = hn::GatherIndex(bits, texture.corners.data(), index);
+    // Mostly few lanes have something to look up.
+    const std::size_t stride = std::size_t(texture.width) + 2;
+    alignas(64) std::int32_t columns[kLanes], rows[kLanes];
+    alignas(64) std::uint32_t around[kLanes] = {};
+    hn::Store(column, whole, columns);
+    hn::Store(row, whole, rows);
+    for (; lanes; lanes &= lanes - 1) {
+        const int i = std::countr_zero(lanes);
+        const std::uint8_t* const p = texture.bordered.data() +
+                                      std::size_t(rows[i]) * stride +
+                                      std::size_t(columns[i]);
+        around[i] = std::uint32_t(p[0] | p[1] << 8) |
+                    std::uint32_t(p[stride] | p[stride + 1] << 8) << 16;
+    }
+    const auto texels = hn::Load(bits, around);
     const auto byte = [&](auto shifted) {
         const auto low = hn::And(shifted, hn::Set(bits, 255u));
         return hn::ConvertTo(d, hn::BitCast(whole, low));
@@ -537,7 +549,7 @@ Vec Walk::opacity(std::size_t index, const Triangles& triangles, int t,
     const NearSheetChunks::Place& chunk = sheets_.chunks.place(index);
     const NearTexture& texture = sheets_.textures[chunk.texture];
     if (texture.width == 1 && texture.height == 1) {
-        const float value = float(texture.corners[0] & 0xff) * (1.0f / 255.0f);
+        const float value = float(texture.bordered[0]) * (1.0f / 255.0f);
         const bool there = texture.cutoff < 0.0f || value >= texture.cutoff;
         return hn::Set(d, !there                   ? 0.0f
                           : texture.cutoff >= 0.0f ? texture.opacity
@@ -558,7 +570,7 @@ Vec Walk::opacity(std::size_t index, const Triangles& triangles, int t,
     }
     const Vec scale = hn::Div(hn::Set(d, 1.0f), sum);
     return opacityAt(texture, hn::IfThenElseZero(hits, hn::Mul(u, scale)),
-                     hn::IfThenElseZero(hits, hn::Mul(v, scale)));
+                     hn::IfThenElseZero(hits, hn::Mul(v, scale)), bitsOf(hits));
 }
 
 }  // namespace
