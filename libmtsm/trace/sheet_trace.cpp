@@ -18,6 +18,8 @@
 #include <bit>
 #include <cmath>
 #include <limits>
+#include <optional>
+#include <utility>
 
 // Vectors of a length that is not known in advance cannot be members of a struct.
 #define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
@@ -228,6 +230,7 @@ class Walk {
         for (int receiver = 0; receiver < rays_.receivers; ++receiver)
             bound(receiver, highest);
         if (lanesLeft_) node(levels.size() - 1, 0, lanesLeft_);
+        meetWaiting();
     }
 
   private:
@@ -240,8 +243,9 @@ class Walk {
     void node(std::size_t level, std::size_t index, std::uint32_t lanes);
     [[nodiscard]] std::uint32_t childrenFor(const NearBoxes& boxes) const;
     [[nodiscard]] std::uint32_t lanesAt(const Vec3& low, const Vec3& high) const;
-    void chunk(std::size_t index, std::uint32_t lanes);
+    void meetWaiting();
     [[nodiscard]] std::uint32_t trianglesFor(int lane, const Triangles& triangles) const;
+    [[nodiscard]] std::uint32_t above(int lane, const Triangles& triangles) const;
     void cross16(int lane, std::size_t index, const Triangles& triangles,
                  std::uint32_t found);
     void cross(int row, const SeenTriangles& seen, const Triangles& triangles,
@@ -266,6 +270,19 @@ class Walk {
     float hullHigh_[3] = {-kInfinity, -kInfinity, -kInfinity};
     float hullSlopes_[4] = {kInfinity, -kInfinity, kInfinity, -kInfinity};
     float hullRise_ = 0.0f;
+
+    // Chunks that receivers' rays may meet, as many as stay in the first level of the
+    // cache when they are unpacked. What is told of them together costs no branches that
+    // the processor cannot foresee.
+    static constexpr int kAtOnce = 16;
+    struct Waiting {
+        std::size_t chunk;
+        std::uint32_t lanes;      // not none
+        std::uint32_t triangles;  // one bit each
+    };
+    Waiting waiting_[kAtOnce + 1] = {};
+    int waitingCount_ = 0;
+    std::optional<Triangles> unpacked_[kAtOnce];
 };
 
 bool Walk::anyOpen(int receiver) const {
@@ -360,12 +377,14 @@ void Walk::node(std::size_t level, std::size_t index, std::uint32_t lanes) {
         };
         const std::uint32_t here =
             lanes & lanesLeft_ & lanesAt(at(boxes.low), at(boxes.high));
-        if (here == 0) continue;
         const std::size_t child = NearBoxes::kChildren * index + std::size_t(i);
-        if (level > 0)
-            node(level - 1, child, here);
-        else
-            chunk(child, here);
+        if (level > 0) {
+            if (here) node(level - 1, child, here);
+            continue;
+        }
+        waiting_[waitingCount_] = {child, here, 0};
+        waitingCount_ += here != 0;
+        if (waitingCount_ == kAtOnce) meetWaiting();
     }
 }
 
@@ -403,7 +422,7 @@ std::uint32_t Walk::lanesAt(const Vec3& low, const Vec3& high) const {
                                  {load(lowU_), load(highU_), load(lowV_), load(highV_)},
                                  load(rise_)};
         Mask may = pyramid.reaches(d, low, high);
-        if (rays_.hasPlanes && !hn::AllFalse(d, may)) {
+        if (rays_.hasPlanes) {
             const auto higher = [&](const float* plane, const float* start, Vec from,
                                     Vec to) {
                 const Vec n = load(plane), at = load(start);
@@ -421,17 +440,40 @@ std::uint32_t Walk::lanesAt(const Vec3& low, const Vec3& high) const {
     return lanes;
 }
 
-void Walk::chunk(std::size_t index, std::uint32_t lanes) {
-    const Triangles triangles(sheets_.triangles.chunks, index);
-    const std::uint32_t all = (1u << sheets_.chunks.place(index).triangles) - 1;
-    for (; lanes; lanes &= lanes - 1) {
+void Walk::meetWaiting() {
+    const int count = std::exchange(waitingCount_, 0);
+    if (count == 0) return;
+    for (int i = 0; i < count; ++i) {
+        Waiting& w = waiting_[i];
+        unpacked_[i].emplace(sheets_.triangles.chunks, w.chunk);
+        w.triangles = (1u << sheets_.chunks.place(w.chunk).triangles) - 1;
+    }
+    struct Met {
+        int waiting, lane;
+        std::uint32_t triangles;
+    };
+    Met met[kAtOnce * kMostReceivers + 1];
+    int size = 0;
+    std::uint32_t lanes = waiting_[0].lanes;
+    for (int i = 0; i < count;) {
         const int lane = std::countr_zero(lanes);
-        const std::uint32_t found = all & trianglesFor(lane, triangles);
-        if (found) cross16(lane, index, triangles, found);
+        const std::uint32_t found =
+            waiting_[i].triangles & trianglesFor(lane, *unpacked_[i]);
+        met[size] = {i, lane, found};
+        size += found != 0;
+        lanes &= lanes - 1;
+        i += lanes == 0;
+        lanes = lanes ? lanes : waiting_[i].lanes;
+    }
+    for (const Met* m = met; m < met + size; ++m) {
+        if (!(lanesLeft_ >> m->lane & 1)) continue;
+        const Triangles& triangles = *unpacked_[m->waiting];
+        const std::uint32_t found = m->triangles & above(m->lane, triangles);
+        if (found) cross16(m->lane, waiting_[m->waiting].chunk, triangles, found);
     }
 }
 
-/// Triangles that the receiver's rays may meet.
+/// Triangles that the receiver's rays may meet, whatever its plane.
 std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
     const Floats d;
     std::uint32_t found = 0;
@@ -441,21 +483,29 @@ std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
                              {set(lowU_), set(highU_), set(lowV_), set(highV_)},
                              set(rise_)};
     for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
-        Mask may = pyramid.reaches(d, Triangles::load(d, triangles.low, t),
-                                   Triangles::load(d, triangles.high, t));
-        if (rays_.hasPlanes && !hn::AllFalse(d, may)) {
-            const Vec3 start = {set(rays_.u), set(rays_.v), set(rays_.w)};
-            const Vec3 normal = {set(rays_.planeU), set(rays_.planeV), set(rays_.planeW)};
-            const float least =
-                std::max(options_.height, triangles.roundingAbove(rays_, lane));
-            Vec highest = hn::Set(d, -kInfinity);
-            for (const auto& corner : triangles.corner) {
-                const Vec3 p = Triangles::load(d, corner, t);
-                highest = hn::Max(highest, dot(normal, subtract(p, start)));
-            }
-            may = hn::And(may, hn::Gt(highest, hn::Set(d, least)));
-        }
+        const Mask may = pyramid.reaches(d, Triangles::load(d, triangles.low, t),
+                                         Triangles::load(d, triangles.high, t));
         found |= bitsOf(may) << t;
+    }
+    return found;
+}
+
+/// Triangles that rise above the receiver's plane.
+std::uint32_t Walk::above(int lane, const Triangles& triangles) const {
+    if (!rays_.hasPlanes) return (1u << kTriangles) - 1;
+    const Floats d;
+    std::uint32_t found = 0;
+    const auto set = [&](const float* p) { return hn::Set(d, p[lane]); };
+    const Vec3 start = {set(rays_.u), set(rays_.v), set(rays_.w)};
+    const Vec3 normal = {set(rays_.planeU), set(rays_.planeV), set(rays_.planeW)};
+    const float least = std::max(options_.height, triangles.roundingAbove(rays_, lane));
+    for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
+        Vec highest = hn::Set(d, -kInfinity);
+        for (const auto& corner : triangles.corner) {
+            const Vec3 p = Triangles::load(d, corner, t);
+            highest = hn::Max(highest, dot(normal, subtract(p, start)));
+        }
+        found |= bitsOf(hn::Gt(highest, hn::Set(d, least))) << t;
     }
     return found;
 }
