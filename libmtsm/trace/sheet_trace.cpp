@@ -1,8 +1,10 @@
 // The boxes are walked with the rays of all receivers together: each receiver's rays lie
 // in a pyramid, and as many receivers as a vector has lanes are compared with a box at
-// once. In a chunk that some may meet, the receiver's pyramid is compared with sixteen
-// boxes of triangles, then with the planes through their edges; each triangle that is
-// left is tested against sixteen rays.
+// once; a few rays' pyramid is their own, of more it is that of all of the light. Chunks
+// that some may meet wait until sixteen are together: most of what is asked of them is
+// answered with no, which is told of all without a branch. In each the receiver's pyramid
+// is compared with sixteen boxes of triangles, then with the planes through their edges;
+// each triangle that is left is tested against sixteen rays.
 //
 // What a ray meets must not depend on the rays beside it. So a crossing counts only if
 // it lies in the triangle's box, to rounding, and pyramids are larger than that rounding:
