@@ -359,9 +359,9 @@ void Walk::narrow(int receiver) {
     float slopes[4] = {kInfinity, -kInfinity, kInfinity, -kInfinity};
     for (; open; open &= open - 1) {
         const int i = std::countr_zero(open);
-        if (!(rays_.dw[row][i] > 0.0f)) return;
-        const float u = rays_.du[row][i] / rays_.dw[row][i];
-        const float v = rays_.dv[row][i] / rays_.dw[row][i];
+        const float du = rays_.du[row][i], dv = rays_.dv[row][i], dw = rays_.dw[row][i];
+        if (!(dw > 1e-20f * std::max(std::abs(du), std::abs(dv)))) return;
+        const float u = du / dw, v = dv / dw;
         slopes[0] = std::min(slopes[0], u), slopes[1] = std::max(slopes[1], u);
         slopes[2] = std::min(slopes[2], v), slopes[3] = std::max(slopes[3], v);
     }
