@@ -94,7 +94,7 @@ std::uint64_t nearSheetBytes(std::uint64_t chunks, int points) noexcept {
 
 std::uint64_t nearTextureBytes(std::uint32_t width, std::uint32_t height) noexcept {
     const std::uint64_t w = width, h = height;
-    return texelsOf(width, height) + 4 * (w + 1) * (h + 1);
+    return texelsOf(width, height) + (w + 2) * (h + 2);
 }
 
 std::uint64_t memoryBytes(const NearSheets& sheets) noexcept {
@@ -168,28 +168,20 @@ std::size_t beyond(std::int64_t i, std::uint32_t n, TextureWrap wrap) {
     return std::size_t(std::clamp<std::int64_t>(i, 0, last));
 }
 
-void buildCorners(NearTexture& texture) {
+void buildBordered(NearTexture& texture) {
     const std::size_t width = texture.width, height = texture.height;
-    texture.corners.resize((width + 1) * (height + 1));
+    texture.bordered.resize((width + 2) * (height + 2));
     base::parallelRanges(
-        std::size_t(0), height + 1, std::size_t(64), [&](auto first, auto last) {
+        std::size_t(0), height + 2, std::size_t(64), [&](auto first, auto last) {
             for (std::size_t y = first; y < last; ++y) {
-                const auto row = [&](std::size_t k) {
-                    return texture.texels.data() + width * beyond(std::int64_t(y + k) - 1,
-                                                                  texture.height,
-                                                                  texture.wrapV);
-                };
-                const std::uint8_t *upper = row(0), *lower = row(1);
-                for (std::size_t x = 0; x <= width; ++x) {
-                    const std::size_t left =
-                        beyond(std::int64_t(x) - 1, texture.width, texture.wrapU);
-                    const std::size_t right =
-                        beyond(std::int64_t(x), texture.width, texture.wrapU);
-                    texture.corners[y * (width + 1) + x] =
-                        std::uint32_t(upper[left]) | std::uint32_t(upper[right]) << 8 |
-                        std::uint32_t(lower[left]) << 16 |
-                        std::uint32_t(lower[right]) << 24;
-                }
+                const std::uint8_t* const from =
+                    texture.texels.data() +
+                    width * beyond(std::int64_t(y) - 1, texture.height, texture.wrapV);
+                std::uint8_t* const to = texture.bordered.data() + (width + 2) * y;
+                to[0] = from[beyond(-1, texture.width, texture.wrapU)];
+                std::copy_n(from, width, to + 1);
+                to[width + 1] =
+                    from[beyond(std::int64_t(width), texture.width, texture.wrapU)];
             }
         });
 }
@@ -238,7 +230,7 @@ Status checkSheets(const NearSheets& sheets, const MapInfo& info, std::size_t fa
 
 void buildSheets(NearSheets& sheets) {
     for (NearTexture& texture : sheets.textures)
-        buildCorners(texture);
+        buildBordered(texture);
 }
 
 bool sameSheets(const NearSheets& a, const NearSheets& b) noexcept {

@@ -43,7 +43,7 @@ constexpr double kHairStart = 0.02;
 constexpr float kHairSpread = 1.5f;
 
 /// The same beside sheets, which are few.
-constexpr double kSheetWidth = 8.0;
+constexpr double kSheetWidth = 8.0, kSheetLeastWidth = 3.0, kSheetApart = 1.0;
 constexpr double kSheetMost = 1e6, kSheetLeast = 8.0;
 /// Texels may then be so much coarser: what one blurs is far from the receiver.
 constexpr float kSheetSpread = 2.0f;
@@ -74,6 +74,11 @@ double hairWidth(std::uint32_t samples) noexcept {
                       kHairWidth);
 }
 
+double sheetWidth(std::uint32_t samples) noexcept {
+    return std::clamp(kSheetApart * std::sqrt(double(samples)), kSheetLeastWidth,
+                      kSheetWidth);
+}
+
 LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& light,
                              const ShadowOptions& options, bool near, double nearMost,
                              bool normals, std::optional<std::uint32_t> onlyPattern) {
@@ -90,7 +95,7 @@ LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& li
     if (near) {
         const bool sheets = !map.nearSheets(0).empty(), hair = !map.isOpaque();
         setting.nearDepth = sheets ? kSheetMost : nearMost;
-        setting.nearWidth = sheets ? kSheetWidth
+        setting.nearWidth = sheets ? sheetWidth(setting.samples)
                             : hair ? hairWidth(setting.samples)
                                    : kNearWidth;
         setting.nearLeast = sheets ? kSheetLeast : hair ? kHairLeast : kNearDepth;

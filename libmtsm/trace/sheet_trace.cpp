@@ -1,8 +1,10 @@
 // The boxes are walked with the rays of all receivers together: each receiver's rays lie
 // in a pyramid, and as many receivers as a vector has lanes are compared with a box at
-// once. In a chunk that some may meet, the receiver's pyramid is compared with sixteen
-// boxes of triangles, then with the planes through their edges; each triangle that is
-// left is tested against sixteen rays.
+// once; a few rays' pyramid is their own, of more it is that of all of the light. Chunks
+// that some may meet wait until sixteen are together: most of what is asked of them is
+// answered with no, which is told of all without a branch. In each the receiver's pyramid
+// is compared with sixteen boxes of triangles, then with the planes through their edges;
+// each triangle that is left is tested against sixteen rays.
 //
 // What a ray meets must not depend on the rays beside it. So a crossing counts only if
 // it lies in the triangle's box, to rounding, and pyramids are larger than that rounding:
@@ -18,6 +20,8 @@
 #include <bit>
 #include <cmath>
 #include <limits>
+#include <optional>
+#include <utility>
 
 // Vectors of a length that is not known in advance cannot be members of a struct.
 #define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
@@ -36,7 +40,8 @@ namespace {
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 /// Of a crossing's coordinates: how far outside its triangle's box it may seem.
 constexpr float kOwnMargin = 0x1p-20f;
-/// The same of what passes boxes over; more than that and the rounding of both.
+/// Of a receiver's coordinates, and of all that its rays go: by how much its pyramid is
+/// larger; more than that and the rounding of both.
 constexpr float kMargin = 0x1p-18f;
 
 /// Slopes of rays, pixels per w, from the least to the most; the same in every lane or of
@@ -45,36 +50,30 @@ struct Slopes {
     Vec lowU, highU, lowV, highV;
 };
 
-/// Where the rays of some starts are, between some w.
+/// Where the rays of some starts are: more than that by what rounding may make of it.
 struct Pyramid {
-    Vec u, v, w;              // starts
-    Vec lastU, lastV, lastW;  // the last of several starts; else the same
+    Vec3 low, high;  // where they start
     Slopes slopes;
-    Vec rise;  // how far the rays go
+    Vec rise;  // how far they go
 
     /// May a ray be in a box?
-    [[nodiscard]] HWY_INLINE Mask reaches(Floats d, const Vec3& low,
-                                          const Vec3& high) const {
-        const Vec zero = hn::Zero(d), margin = hn::Set(d, kMargin);
-        const Vec more = hn::Mul(margin, hn::Add(hn::Abs(w), hn::Abs(lastW)));
-        const Vec least = hn::Max(zero, hn::Sub(hn::Sub(low.z, lastW), more));
-        const Vec most = hn::Min(rise, hn::Add(hn::Sub(high.z, w), more));
-        const auto meets = [&](Vec start, Vec last, Vec lowSlope, Vec highSlope,
-                               Vec lowEnd, Vec highEnd) {
-            const Vec a = hn::Mul(lowSlope, most), b = hn::Mul(highSlope, most);
-            const Vec rounding =
-                hn::Mul(margin, hn::Add(hn::Add(hn::Abs(start), hn::Abs(last)),
-                                        hn::Add(hn::Abs(a), hn::Abs(b))));
-            const Vec from =
-                hn::Sub(hn::Add(start, hn::Min(a, hn::Mul(lowSlope, least))), rounding);
-            const Vec to =
-                hn::Add(hn::Add(last, hn::Max(b, hn::Mul(highSlope, least))), rounding);
+    [[nodiscard]] HWY_INLINE Mask reaches(Floats d, const Vec3& boxLow,
+                                          const Vec3& boxHigh) const {
+        const Vec least = hn::Max(hn::Zero(d), hn::Sub(boxLow.z, high.z));
+        const Vec most = hn::Min(rise, hn::Sub(boxHigh.z, low.z));
+        const auto meets = [&](Vec from, Vec to, Vec lowSlope, Vec highSlope, Vec lowEnd,
+                               Vec highEnd) {
+            from =
+                hn::Add(from, hn::Min(hn::Mul(lowSlope, most), hn::Mul(lowSlope, least)));
+            to =
+                hn::Add(to, hn::Max(hn::Mul(highSlope, most), hn::Mul(highSlope, least)));
             return hn::And(hn::Le(from, highEnd), hn::Ge(to, lowEnd));
         };
         return hn::And(
             hn::Le(least, most),
-            hn::And(meets(u, lastU, slopes.lowU, slopes.highU, low.x, high.x),
-                    meets(v, lastV, slopes.lowV, slopes.highV, low.y, high.y)));
+            hn::And(
+                meets(low.x, high.x, slopes.lowU, slopes.highU, boxLow.x, boxHigh.x),
+                meets(low.y, high.y, slopes.lowV, slopes.highV, boxLow.y, boxHigh.y)));
     }
 };
 
@@ -169,8 +168,8 @@ HWY_INLINE Vec wrapped(Vec x, TextureWrap wrap) {
     return hn::Sub(x, hn::Floor(x));
 }
 
-/// OpacityTexture::opacity() without a footprint; finite whatever u and v are.
-HWY_INLINE Vec opacityAt(const NearTexture& texture, Vec u, Vec v) {
+/// OpacityTexture::opacity() without a footprint, for some lanes; finite u and v.
+HWY_INLINE Vec opacityAt(const NearTexture& texture, Vec u, Vec v, std::uint32_t lanes) {
     const Floats d;
     const hn::Rebind<std::int32_t, Floats> whole;
     const hn::Rebind<std::uint32_t, Floats> bits;
@@ -187,9 +186,21 @@ HWY_INLINE Vec opacityAt(const NearTexture& texture, Vec u, Vec v) {
     const auto column = hn::ConvertTo(whole, x), row = hn::ConvertTo(whole, y);
     const Vec acrossX = hn::Sub(x, hn::ConvertTo(d, column));
     const Vec acrossY = hn::Sub(y, hn::ConvertTo(d, row));
-    const auto index =
-        hn::Add(hn::Mul(row, hn::Set(whole, std::int32_t(texture.width) + 1)), column);
-    const auto texels = hn::GatherIndex(bits, texture.corners.data(), index);
+    // Mostly few lanes have something to look up.
+    const std::size_t stride = std::size_t(texture.width) + 2;
+    alignas(64) std::int32_t columns[kLanes], rows[kLanes];
+    alignas(64) std::uint32_t around[kLanes] = {};
+    hn::Store(column, whole, columns);
+    hn::Store(row, whole, rows);
+    for (; lanes; lanes &= lanes - 1) {
+        const int i = std::countr_zero(lanes);
+        const std::uint8_t* const p = texture.bordered.data() +
+                                      std::size_t(rows[i]) * stride +
+                                      std::size_t(columns[i]);
+        around[i] = std::uint32_t(p[0] | p[1] << 8) |
+                    std::uint32_t(p[stride] | p[stride + 1] << 8) << 16;
+    }
+    const auto texels = hn::Load(bits, around);
     const auto byte = [&](auto shifted) {
         const auto low = hn::And(shifted, hn::Set(bits, 255u));
         return hn::ConvertTo(d, hn::BitCast(whole, low));
@@ -210,27 +221,33 @@ class Walk {
   public:
     Walk(const NearSheets& sheets, const SheetTraceOptions& options, RayBundle& rays,
          const float (*end)[kLanes], float (*visible)[kLanes])
-        : sheets_(sheets), options_(options), rays_(rays), end_(end), visible_(visible) {
-        for (int receiver = 0; receiver < rays.receivers; ++receiver)
-            bound(receiver);
-    }
+        : sheets_(sheets), options_(options), rays_(rays), end_(end), visible_(visible) {}
 
     void run() {
         const auto& levels = sheets_.triangles.levels;
-        if (lanesLeft_ && !levels.empty()) node(levels.size() - 1, 0, lanesLeft_);
+        if (levels.empty()) return;
+        const NearBoxes& top = levels.back()[0];
+        const float highest =
+            *std::max_element(top.high[2], top.high[2] + NearBoxes::kChildren);
+        for (int receiver = 0; receiver < rays_.receivers; ++receiver)
+            bound(receiver, highest);
+        if (lanesLeft_) node(levels.size() - 1, 0, lanesLeft_);
+        meetWaiting();
     }
 
   private:
-    using Corners = float[3][2];  // texture coordinates, times w if perspective
+    using PerReceiver = float[kMostReceivers];
 
-    void bound(int receiver);
+    void bound(int receiver, float highest);
     void boundWide(int receiver);
+    void narrow(int receiver);
     [[nodiscard]] bool anyOpen(int receiver) const;
     void node(std::size_t level, std::size_t index, std::uint32_t lanes);
     [[nodiscard]] std::uint32_t childrenFor(const NearBoxes& boxes) const;
     [[nodiscard]] std::uint32_t lanesAt(const Vec3& low, const Vec3& high) const;
-    void chunk(std::size_t index, std::uint32_t lanes);
+    void meetWaiting();
     [[nodiscard]] std::uint32_t trianglesFor(int lane, const Triangles& triangles) const;
+    [[nodiscard]] std::uint32_t above(int lane, const Triangles& triangles) const;
     void cross16(int lane, std::size_t index, const Triangles& triangles,
                  std::uint32_t found);
     void cross(int row, const SeenTriangles& seen, const Triangles& triangles,
@@ -245,14 +262,29 @@ class Walk {
     float (*const visible_)[kLanes];
     std::uint32_t lanesLeft_ = 0;  ///< receivers with a ray that is open
 
-    // Of all receivers that have an open ray, but wide ones.
-    float hullStart_[3] = {kInfinity, kInfinity, kInfinity};
-    float hullLast_[3] = {-kInfinity, -kInfinity, -kInfinity};
+    // Pyramids around the rays of each receiver; wide ones have a box around their rays
+    // for a start, and go nowhere from there.
+    alignas(64) PerReceiver low_[3] = {}, high_[3] = {};  // [axis]
+    alignas(64) PerReceiver lowU_ = {}, highU_ = {}, lowV_ = {}, highV_ = {};
+    alignas(64) PerReceiver rise_ = {};
+    // Around all of them.
+    float hullLow_[3] = {kInfinity, kInfinity, kInfinity};
+    float hullHigh_[3] = {-kInfinity, -kInfinity, -kInfinity};
     float hullSlopes_[4] = {kInfinity, -kInfinity, kInfinity, -kInfinity};
     float hullRise_ = 0.0f;
-    std::uint32_t wide_ = 0;  ///< open ones that are
-    /// Boxes around the rays of wide receivers, [axis][receiver].
-    alignas(64) float wideLow_[3][kMostReceivers], wideHigh_[3][kMostReceivers];
+
+    // Chunks that receivers' rays may meet, as many as stay in the first level of the
+    // cache when they are unpacked. What is told of them together costs no branches that
+    // the processor cannot foresee.
+    static constexpr int kAtOnce = 16;
+    struct Waiting {
+        std::size_t chunk;
+        std::uint32_t lanes;      // not none
+        std::uint32_t triangles;  // one bit each
+    };
+    Waiting waiting_[kAtOnce + 1] = {};
+    int waitingCount_ = 0;
+    std::optional<Triangles> unpacked_[kAtOnce];
 };
 
 bool Walk::anyOpen(int receiver) const {
@@ -262,30 +294,45 @@ bool Walk::anyOpen(int receiver) const {
     return open != 0;
 }
 
-void Walk::bound(int receiver) {
-    if (!anyOpen(receiver)) return;
-    lanesLeft_ |= 1u << receiver;
-    if (rays_.wide >> receiver & 1) return boundWide(receiver);
-    const float start[3] = {rays_.u[receiver], rays_.v[receiver], rays_.w[receiver]};
-    for (int axis = 0; axis < 3; ++axis) {
-        hullStart_[axis] = std::min(hullStart_[axis], start[axis]);
-        hullLast_[axis] = std::max(hullLast_[axis], start[axis]);
+/// `highest`: the greatest w that triangles reach.
+void Walk::bound(int receiver, float highest) {
+    const int r = receiver;
+    if (!anyOpen(r)) return;
+    lanesLeft_ |= 1u << r;
+    if (rays_.wide >> r & 1) {
+        boundWide(r);
+    } else {
+        lowU_[r] = rays_.slopeLowU[r], highU_[r] = rays_.slopeHighU[r];
+        lowV_[r] = rays_.slopeLowV[r], highV_[r] = rays_.slopeHighV[r];
+        narrow(r);
+        rise_[r] = std::max(0.0f, std::min(rays_.rise[r], highest - rays_.w[r]));
+        rise_[r] += kMargin * rise_[r];
+        const float start[3] = {rays_.u[r], rays_.v[r], rays_.w[r]};
+        const float most[3] = {std::max(std::abs(lowU_[r]), std::abs(highU_[r])),
+                               std::max(std::abs(lowV_[r]), std::abs(highV_[r])), 1.0f};
+        for (int axis = 0; axis < 3; ++axis) {
+            const float margin =
+                kMargin * (std::abs(start[axis]) + rise_[r] * most[axis]);
+            low_[axis][r] = start[axis] - margin;
+            high_[axis][r] = start[axis] + margin;
+        }
     }
-    hullSlopes_[0] = std::min(hullSlopes_[0], rays_.slopeLowU[receiver]);
-    hullSlopes_[1] = std::max(hullSlopes_[1], rays_.slopeHighU[receiver]);
-    hullSlopes_[2] = std::min(hullSlopes_[2], rays_.slopeLowV[receiver]);
-    hullSlopes_[3] = std::max(hullSlopes_[3], rays_.slopeHighV[receiver]);
-    hullRise_ = std::max(hullRise_, rays_.rise[receiver]);
+    for (int axis = 0; axis < 3; ++axis) {
+        hullLow_[axis] = std::min(hullLow_[axis], low_[axis][r]);
+        hullHigh_[axis] = std::max(hullHigh_[axis], high_[axis][r]);
+    }
+    hullSlopes_[0] = std::min(hullSlopes_[0], lowU_[r]);
+    hullSlopes_[1] = std::max(hullSlopes_[1], highU_[r]);
+    hullSlopes_[2] = std::min(hullSlopes_[2], lowV_[r]);
+    hullSlopes_[3] = std::max(hullSlopes_[3], highV_[r]);
+    hullRise_ = std::max(hullRise_, rise_[r]);
 }
 
 void Walk::boundWide(int receiver) {
-    if (wide_ == 0) {
-        for (int axis = 0; axis < 3; ++axis) {
-            std::fill_n(wideLow_[axis], kMostReceivers, kInfinity);
-            std::fill_n(wideHigh_[axis], kMostReceivers, -kInfinity);
-        }
+    for (int axis = 0; axis < 3; ++axis) {
+        low_[axis][receiver] = kInfinity;
+        high_[axis][receiver] = -kInfinity;
     }
-    wide_ |= 1u << receiver;
     const float start[3] = {rays_.u[receiver], rays_.v[receiver], rays_.w[receiver]};
     for (int group = 0; group < rays_.groups; ++group) {
         const int row = rays_.row(receiver, group);
@@ -295,12 +342,31 @@ void Walk::boundWide(int receiver) {
             for (int axis = 0; axis < 3; ++axis) {
                 const float way = ways[axis][i] * end_[row][i];
                 const float margin = (std::abs(start[axis]) + std::abs(way)) * kMargin;
-                float &low = wideLow_[axis][receiver], &high = wideHigh_[axis][receiver];
+                float &low = low_[axis][receiver], &high = high_[axis][receiver];
                 low = std::min(low, start[axis] + std::min(0.0f, way) - margin);
                 high = std::max(high, start[axis] + std::max(0.0f, way) + margin);
             }
         }
     }
+}
+
+/// Few rays have slopes of their own, which are less than those of all of the light.
+void Walk::narrow(int receiver) {
+    constexpr int kFew = 4;
+    const int row = rays_.row(receiver, 0);
+    std::uint32_t open = rays_.open[row];
+    if (rays_.groups > 1 || std::popcount(open) > kFew) return;
+    float slopes[4] = {kInfinity, -kInfinity, kInfinity, -kInfinity};
+    for (; open; open &= open - 1) {
+        const int i = std::countr_zero(open);
+        const float du = rays_.du[row][i], dv = rays_.dv[row][i], dw = rays_.dw[row][i];
+        if (!(dw > 1e-20f * std::max(std::abs(du), std::abs(dv)))) return;
+        const float u = du / dw, v = dv / dw;
+        slopes[0] = std::min(slopes[0], u), slopes[1] = std::max(slopes[1], u);
+        slopes[2] = std::min(slopes[2], v), slopes[3] = std::max(slopes[3], v);
+    }
+    lowU_[receiver] = slopes[0], highU_[receiver] = slopes[1];
+    lowV_[receiver] = slopes[2], highV_[receiver] = slopes[3];
 }
 
 void Walk::node(std::size_t level, std::size_t index, std::uint32_t lanes) {
@@ -313,12 +379,14 @@ void Walk::node(std::size_t level, std::size_t index, std::uint32_t lanes) {
         };
         const std::uint32_t here =
             lanes & lanesLeft_ & lanesAt(at(boxes.low), at(boxes.high));
-        if (here == 0) continue;
         const std::size_t child = NearBoxes::kChildren * index + std::size_t(i);
-        if (level > 0)
-            node(level - 1, child, here);
-        else
-            chunk(child, here);
+        if (level > 0) {
+            if (here) node(level - 1, child, here);
+            continue;
+        }
+        waiting_[waitingCount_] = {child, here, 0};
+        waitingCount_ += here != 0;
+        if (waitingCount_ == kAtOnce) meetWaiting();
     }
 }
 
@@ -327,12 +395,8 @@ std::uint32_t Walk::childrenFor(const NearBoxes& boxes) const {
     const Floats d;
     std::uint32_t found = 0;
     const auto set = [&](float x) { return hn::Set(d, x); };
-    const Pyramid hull = {set(hullStart_[0]),
-                          set(hullStart_[1]),
-                          set(hullStart_[2]),
-                          set(hullLast_[0]),
-                          set(hullLast_[1]),
-                          set(hullLast_[2]),
+    const Pyramid hull = {broadcast(hullLow_),
+                          broadcast(hullHigh_),
                           {set(hullSlopes_[0]), set(hullSlopes_[1]), set(hullSlopes_[2]),
                            set(hullSlopes_[3])},
                           set(hullRise_)};
@@ -342,9 +406,8 @@ std::uint32_t Walk::childrenFor(const NearBoxes& boxes) const {
                         hn::LoadU(d, p[2] + i)};
         };
         const Vec3 low = load(boxes.low), high = load(boxes.high);
-        Mask may = hn::Le(low.x, high.x);
-        if (wide_ == 0) may = hn::And(may, hull.reaches(d, low, high));
-        found |= bitsOf(may) << i;
+        const Mask there = hn::Le(low.x, high.x);
+        found |= bitsOf(hn::And(there, hull.reaches(d, low, high))) << i;
     }
     return found;
 }
@@ -356,36 +419,22 @@ std::uint32_t Walk::lanesAt(const Vec3& low, const Vec3& high) const {
     std::uint32_t lanes = 0;
     for (std::size_t k = 0; k < kLanes; k += hn::Lanes(d)) {
         const auto load = [&](const float* p) { return hn::Load(d, p + k); };
-        const Vec u = load(rays_.u), v = load(rays_.v), w = load(rays_.w);
-        const Pyramid pyramid = {u,
-                                 v,
-                                 w,
-                                 u,
-                                 v,
-                                 w,
-                                 {load(rays_.slopeLowU), load(rays_.slopeHighU),
-                                  load(rays_.slopeLowV), load(rays_.slopeHighV)},
-                                 load(rays_.rise)};
+        const Pyramid pyramid = {{load(low_[0]), load(low_[1]), load(low_[2])},
+                                 {load(high_[0]), load(high_[1]), load(high_[2])},
+                                 {load(lowU_), load(highU_), load(lowV_), load(highV_)},
+                                 load(rise_)};
         Mask may = pyramid.reaches(d, low, high);
-        if (wide_ >> k & ((1u << hn::Lanes(d)) - 1)) {
-            Mask near = hn::And(hn::Le(load(wideLow_[0]), high.x),
-                                hn::Ge(load(wideHigh_[0]), low.x));
-            near = hn::And(near, hn::And(hn::Le(load(wideLow_[1]), high.y),
-                                         hn::Ge(load(wideHigh_[1]), low.y)));
-            near = hn::And(near, hn::And(hn::Le(load(wideLow_[2]), high.z),
-                                         hn::Ge(load(wideHigh_[2]), low.z)));
-            may = hn::Or(hn::And(near, maskOf(wide_ >> k)),
-                         hn::AndNot(maskOf(wide_ >> k), may));
-        }
         if (rays_.hasPlanes) {
-            const auto higher = [&](Vec n, Vec start, Vec from, Vec to) {
-                return hn::Max(hn::Mul(n, hn::Sub(from, start)),
-                               hn::Mul(n, hn::Sub(to, start)));
+            const auto higher = [&](const float* plane, const float* start, Vec from,
+                                    Vec to) {
+                const Vec n = load(plane), at = load(start);
+                return hn::Max(hn::Mul(n, hn::Sub(from, at)),
+                               hn::Mul(n, hn::Sub(to, at)));
             };
             const Vec height =
-                hn::Add(hn::Add(higher(load(rays_.planeU), u, low.x, high.x),
-                                higher(load(rays_.planeV), v, low.y, high.y)),
-                        higher(load(rays_.planeW), w, low.z, high.z));
+                hn::Add(hn::Add(higher(rays_.planeU, rays_.u, low.x, high.x),
+                                higher(rays_.planeV, rays_.v, low.y, high.y)),
+                        higher(rays_.planeW, rays_.w, low.z, high.z));
             may = hn::And(may, hn::Gt(height, hn::Set(d, options_.height)));
         }
         lanes |= bitsOf(may) << k;
@@ -393,49 +442,72 @@ std::uint32_t Walk::lanesAt(const Vec3& low, const Vec3& high) const {
     return lanes;
 }
 
-void Walk::chunk(std::size_t index, std::uint32_t lanes) {
-    const Triangles triangles(sheets_.triangles.chunks, index);
-    const std::uint32_t all = (1u << sheets_.chunks.place(index).triangles) - 1;
-    for (; lanes; lanes &= lanes - 1) {
+void Walk::meetWaiting() {
+    const int count = std::exchange(waitingCount_, 0);
+    if (count == 0) return;
+    for (int i = 0; i < count; ++i) {
+        Waiting& w = waiting_[i];
+        unpacked_[i].emplace(sheets_.triangles.chunks, w.chunk);
+        w.triangles = (1u << sheets_.chunks.place(w.chunk).triangles) - 1;
+    }
+    struct Met {
+        int waiting, lane;
+        std::uint32_t triangles;
+    };
+    Met met[kAtOnce * kMostReceivers + 1];
+    int size = 0;
+    std::uint32_t lanes = waiting_[0].lanes;
+    for (int i = 0; i < count;) {
         const int lane = std::countr_zero(lanes);
-        const std::uint32_t found = all & trianglesFor(lane, triangles);
-        if (found) cross16(lane, index, triangles, found);
+        const std::uint32_t found =
+            waiting_[i].triangles & trianglesFor(lane, *unpacked_[i]);
+        met[size] = {i, lane, found};
+        size += found != 0;
+        lanes &= lanes - 1;
+        i += lanes == 0;
+        lanes = lanes ? lanes : waiting_[i].lanes;
+    }
+    for (const Met* m = met; m < met + size; ++m) {
+        if (!(lanesLeft_ >> m->lane & 1)) continue;
+        const Triangles& triangles = *unpacked_[m->waiting];
+        const std::uint32_t found = m->triangles & above(m->lane, triangles);
+        if (found) cross16(m->lane, waiting_[m->waiting].chunk, triangles, found);
     }
 }
 
-/// Triangles that the receiver's rays may meet.
+/// Triangles that the receiver's rays may meet, whatever its plane.
 std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
     const Floats d;
     std::uint32_t found = 0;
     const auto set = [&](const float* p) { return hn::Set(d, p[lane]); };
-    const Vec u = set(rays_.u), v = set(rays_.v), w = set(rays_.w);
-    const Pyramid pyramid = {u,
-                             v,
-                             w,
-                             u,
-                             v,
-                             w,
-                             {set(rays_.slopeLowU), set(rays_.slopeHighU),
-                              set(rays_.slopeLowV), set(rays_.slopeHighV)},
-                             set(rays_.rise)};
-    const bool wide = wide_ >> lane & 1;
+    const Pyramid pyramid = {{set(low_[0]), set(low_[1]), set(low_[2])},
+                             {set(high_[0]), set(high_[1]), set(high_[2])},
+                             {set(lowU_), set(highU_), set(lowV_), set(highV_)},
+                             set(rise_)};
     for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
-        const Vec3 low = Triangles::load(d, triangles.low, t);
-        const Vec3 high = Triangles::load(d, triangles.high, t);
-        Mask may = hn::Le(low.x, high.x);
-        if (!wide) may = pyramid.reaches(d, low, high);
-        if (rays_.hasPlanes) {
-            const Vec3 normal = {set(rays_.planeU), set(rays_.planeV), set(rays_.planeW)};
-            const float least =
-                std::max(options_.height, triangles.roundingAbove(rays_, lane));
-            Vec highest = hn::Set(d, -kInfinity);
-            for (const auto& corner : triangles.corner) {
-                const Vec3 p = Triangles::load(d, corner, t);
-                highest = hn::Max(highest, dot(normal, subtract(p, {u, v, w})));
-            }
-            may = hn::And(may, hn::Gt(highest, hn::Set(d, least)));
-        }
+        const Mask may = pyramid.reaches(d, Triangles::load(d, triangles.low, t),
+                                         Triangles::load(d, triangles.high, t));
         found |= bitsOf(may) << t;
+    }
+    return found;
+}
+
+/// Triangles that rise above the receiver's plane.
+std::uint32_t Walk::above(int lane, const Triangles& triangles) const {
+    if (!rays_.hasPlanes) return (1u << kTriangles) - 1;
+    const Floats d;
+    std::uint32_t found = 0;
+    const auto set = [&](const float* p) { return hn::Set(d, p[lane]); };
+    const Vec3 start = {set(rays_.u), set(rays_.v), set(rays_.w)};
+    const Vec3 normal = {set(rays_.planeU), set(rays_.planeV), set(rays_.planeW)};
+    const float least = std::max(options_.height, triangles.roundingAbove(rays_, lane));
+    for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
+        Vec highest = hn::Set(d, -kInfinity);
+        for (const auto& corner : triangles.corner) {
+            const Vec3 p = Triangles::load(d, corner, t);
+            highest = hn::Max(highest, dot(normal, subtract(p, start)));
+        }
+        found |= bitsOf(hn::Gt(highest, hn::Set(d, least))) << t;
     }
     return found;
 }
@@ -445,9 +517,8 @@ void Walk::cross16(int lane, std::size_t index, const Triangles& triangles,
                    std::uint32_t found) {
     const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
     const SeenTriangles seen(triangles, start);
-    const bool wide = wide_ >> lane & 1;
-    float slopes[4] = {rays_.slopeLowU[lane], rays_.slopeHighU[lane],
-                       rays_.slopeLowV[lane], rays_.slopeHighV[lane]};
+    const bool wide = rays_.wide >> lane & 1;
+    const float slopes[4] = {lowU_[lane], highU_[lane], lowV_[lane], highV_[lane]};
     if (!wide && rays_.groups == 1) found &= seen.between(slopes);
     bool left = false;
     for (int group = 0; group < rays_.groups; ++group) {
@@ -530,7 +601,7 @@ Vec Walk::opacity(std::size_t index, const Triangles& triangles, int t,
     const NearSheetChunks::Place& chunk = sheets_.chunks.place(index);
     const NearTexture& texture = sheets_.textures[chunk.texture];
     if (texture.width == 1 && texture.height == 1) {
-        const float value = float(texture.corners[0] & 0xff) * (1.0f / 255.0f);
+        const float value = float(texture.bordered[0]) * (1.0f / 255.0f);
         const bool there = texture.cutoff < 0.0f || value >= texture.cutoff;
         return hn::Set(d, !there                   ? 0.0f
                           : texture.cutoff >= 0.0f ? texture.opacity
@@ -551,7 +622,7 @@ Vec Walk::opacity(std::size_t index, const Triangles& triangles, int t,
     }
     const Vec scale = hn::Div(hn::Set(d, 1.0f), sum);
     return opacityAt(texture, hn::IfThenElseZero(hits, hn::Mul(u, scale)),
-                     hn::IfThenElseZero(hits, hn::Mul(v, scale)));
+                     hn::IfThenElseZero(hits, hn::Mul(v, scale)), bitsOf(hits));
 }
 
 }  // namespace

@@ -100,10 +100,9 @@ struct NearTexture {
     /// [height][width], upper row first, in 255ths. None after releaseLayers()
     /// (mtsm/shadow.h).
     std::vector<std::uint8_t> texels = {255};
-    /// [height + 1][width + 1]: four texels around a corner, the upper left one in the
-    /// lowest byte, then its right, lower and lower right neighbours; what lies beyond a
-    /// border is what `wrap` says. ShadowMap::create builds them, whatever is there.
-    std::vector<std::uint32_t> corners = {};
+    /// [height + 2][width + 2]: the same between what `wrap` says lies beyond the borders.
+    /// ShadowMap::create builds them, whatever is there.
+    std::vector<std::uint8_t> bordered = {};
 };
 
 /// All triangles of one face; of its window and some way around it.

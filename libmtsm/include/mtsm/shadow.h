@@ -33,8 +33,8 @@
 // (mtsm/near_field.h), what lies within 32 pixel footprints of depth above the receiver
 // is met exactly, of slender leaves up to 256 while the light, seen through the receiver,
 // is less than 8 pixels wide; beside strands (maps of one face) and sheets
-// (mtsm/near_sheets.h) up to where it is 8 pixels wide, beside strands 3 to 8, the less
-// the fewer samples there are (half of their root): layers filter their noise. The
+// (mtsm/near_sheets.h) up to where it is 3 to 8 pixels wide, the less the fewer samples
+// there are (sheets: their root, strands: half of it): layers filter their noise. The
 // strand on which a receiver lies, in whichever of its segments, does not darken it
 // within a width from there; so give the very point where a renderer's rays start.
 // Visibility of media and sheets is kept to .0004. Of six faces each is followed by
