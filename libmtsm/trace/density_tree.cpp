@@ -200,15 +200,13 @@ class PixelSlabs {
         if (pixel.count == 0) return;
         const float way = kind == Kind::sheets ? 1.0f : 1.0f / centreWay(x, y);
         bool dark = isDark(pixel, pixel.count - 1);
-        float low = straight(pixel.z[pixel.count - 1]);
         for (std::uint32_t i = pixel.count; i-- > 0;) {
             const bool restart = i == 0 || isDark(pixel, i - 1);
-            const float high = i > 0 ? straight(pixel.z[i - 1]) : low;
             const bool one = !pixel.n || pixel.n[i] == 1;
             if ((isSheet(dark && one) ? Kind::sheets : Kind::media) == kind)
-                add({pixel, i, dark, restart, one || i == 0, low, high}, way, out);
+                add({pixel, i, dark, restart, one || i == 0, straight(pixel.z[i])}, way,
+                    out);
             dark = restart;
-            low = high;
         }
     }
     /// Are there slabs of sheets in a map of media?
@@ -225,7 +223,7 @@ class PixelSlabs {
         const PixelLayers& pixel;
         std::uint32_t i;
         bool dark, restart, single;
-        float low, high;  // w of its depth and of that before
+        float w;  // of its depth
     };
 
     /// `blocks`: of one sample, and dark. Where strands are all that there is, it is what
@@ -266,13 +264,13 @@ class PixelSlabs {
         return {middle - 0.5f * least, middle + 0.5f * least, depth};
     }
 
-    /// The samples of a layer: spread from the layer before to its own depth. Where they
-    /// end dark, the last one blocks and the others take nothing.
+    /// The samples of a layer. Where they end dark, the last one blocks and the others
+    /// take nothing.
     void add(const Layer& layer, float way, List& out) const {
         Depths<kChannels> depth{}, end{};
         if (layer.dark && (sheets_ || layer.single)) {  // blocks all channels
             end.fill(kDarkDepth);
-            out.push_back(between(layer.low, layer.low, end));
+            out.push_back(between(layer.w, layer.w, end));
             return;
         }
         bool takes = false, ends = false;
@@ -288,17 +286,19 @@ class PixelSlabs {
                 ends = true;
             }
         }
-        if (ends) out.push_back(between(layer.low, layer.low, end));
+        if (ends) out.push_back(between(layer.w, layer.w, end));
         if (!takes) return;
         if (layer.single)
-            out.push_back(between(layer.low, layer.low, depth));
+            out.push_back(between(layer.w, layer.w, depth));
         else
             spread(layer, depth, out);
     }
 
-    /// Evenly in depth; a slab is even in 1/z instead, so a long layer becomes several.
+    /// Evenly in depth, so that half of each sample lies in front of where it is met; a
+    /// slab is even in 1/z instead, so a long layer becomes several.
     void spread(const Layer& layer, Depths<kChannels> depth, List& out) const {
-        const float z0 = layer.pixel.z[layer.i - 1], z1 = layer.pixel.z[layer.i];
+        const float z0 = layer.pixel.z[layer.i - 1] + halfStep(layer.pixel, layer.i);
+        const float z1 = layer.pixel.z[layer.i] + reach(layer.pixel, layer.i);
         std::uint32_t pieces = 1;
         if (perspective_ && z1 > z0) {
             const float thickest = *std::max_element(depth.begin(), depth.end());
@@ -307,19 +307,28 @@ class PixelSlabs {
                 pieces = std::uint32_t(
                     std::ceil(std::min(std::sqrt(off / kUneven), kMostPieces)));
         }
-        if (pieces == 1) {
-            out.push_back(between(layer.low, layer.high, depth));
-            return;
-        }
         for (float& d : depth)
             d /= float(pieces);
         const float step = (z1 - z0) / float(pieces);
-        float low = layer.low;
+        float low = straight(z1);
         for (std::uint32_t k = pieces; k-- > 0;) {
-            const float high = k > 0 ? straight(z0 + step * float(k)) : layer.high;
+            const float high = straight(k > 0 ? z0 + step * float(k) : z0);
             out.push_back(between(low, high, depth));
             low = high;
         }
+    }
+
+    /// Of a layer of several samples, half of the distance between them.
+    static float halfStep(const PixelLayers& pixel, std::uint32_t i) {
+        return 0.5f * (pixel.z[i] - pixel.z[i - 1]) / float(pixel.n[i]);
+    }
+    /// How far behind its depth the last of them is spread: to where the next layer
+    /// begins at most.
+    static float reach(const PixelLayers& pixel, std::uint32_t i) {
+        const float half = halfStep(pixel, i);
+        if (i + 1 == pixel.count) return half;
+        return std::min(half, pixel.n[i + 1] > 1 ? halfStep(pixel, i + 1)
+                                                 : pixel.z[i + 1] - pixel.z[i]);
     }
 
     const Projection& projection_;

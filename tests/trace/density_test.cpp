@@ -311,6 +311,27 @@ TEST_CASE("a homogeneous slab gives exp(-s way) at any slant from texels of any 
     }
 }
 
+TEST_CASE("layers of few samples take at the mean depth what their samples take",
+          "[trace][exact]") {
+    // Samples at 10/3, 14/3, 6, and at 7.5, 9, each .3 deep.
+    const ShadowMap map = mapOf(mediaInfo(8), parallel(8), [](auto, auto) {
+        return std::vector<TestLayer>{
+            {2.0f, 1.0f, 1}, {6.0f, std::exp(-0.9f), 3}, {9.0f, std::exp(-1.5f), 2}};
+    });
+    std::vector<Ray> rays;
+    constexpr int kStarts = 1000;
+    for (int i = 0; i < kStarts; ++i) {
+        const double z = 1.0 + 10.0 * (i + 0.5) / kStarts;
+        rays.push_back({{0.5, 0.5, -z}, {0, 0, z - 0.5}});
+    }
+    double mean = 0.0, expected = 0.0;
+    for (const auto& visible : traceAll(map, treeOf(map), rays))
+        mean -= std::log(visible[0]) / kStarts;
+    for (const double z : {10.0 / 3, 14.0 / 3, 6.0, 7.5, 9.0})
+        expected += 0.3 * (11.0 - z) / 10.0;
+    CHECK(mean == Approx(expected).margin(0.004));  // densities are rounded by 1/256
+}
+
 TEST_CASE("a layer as far away as floats go leaves the others as they are",
           "[trace][exact]") {
     Projection view = parallel(64);
