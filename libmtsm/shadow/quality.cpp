@@ -29,7 +29,7 @@ KindError errorOf(MapKind kind) noexcept {
         case MapKind::nearHair:
             return {0.003f, 0.65f, 512};
         case MapKind::volume:
-            return {0.001f, 0.5f};
+            return {0.0004f, 1.0f};
         case MapKind::sheets:
             return {0.009f, 0.75f};
         case MapKind::surfaces:
@@ -39,7 +39,7 @@ KindError errorOf(MapKind kind) noexcept {
     }
 }
 
-constexpr std::uint32_t kResolutions[] = {512, 1024, 2048, 4096};
+constexpr std::uint32_t kResolutions[] = {256, 512, 1024, 2048, 4096};
 /// The smallest and the largest of them that are chosen. Beyond, maps of a kind were
 /// little better, or too large.
 struct Choice {
@@ -52,7 +52,8 @@ Choice choiceFor(MapKind kind, float meanError) noexcept {
                                                        : 1024;
         return {one, one};
     }
-    return {512, kind == MapKind::surfaces ? 4096u : 2048u};
+    return {kind == MapKind::volume ? 256u : 512u,
+            kind == MapKind::surfaces ? 4096u : 2048u};
 }
 
 /// Bytes that a triangle of a near field takes, a little more than it does.
