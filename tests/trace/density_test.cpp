@@ -441,6 +441,36 @@ TEST_CASE("a texel that is half covered by surfaces lets half of the light throu
     }
 }
 
+TEST_CASE("what is dark takes nothing from what lets light through beside it",
+          "[trace][exact]") {
+    // A quarter is dark, a quarter clear, half lets half through: beside what is dark, as
+    // at the edge of a strand, or far from it.
+    const float z = GENERATE(5.0f, 5.05f, 2.0f);
+    const ShadowMap map =
+        mapOf(mediaInfo(32), parallel(32), [&](std::uint32_t x, std::uint32_t y) {
+            if (x % 2 && y % 2) return std::vector<TestLayer>{{5.0f, 0.0f, 1}};
+            if (x % 2 || y % 2) return std::vector<TestLayer>{{z, 0.5f, 1}};
+            return std::vector<TestLayer>{};
+        });
+    const bool close = z > 4.0f;
+    for (const std::uint32_t finest : {0u, 1u, 2u}) {
+        DensityOptions options;
+        options.finest = finest;
+        const DensityTree tree = treeOf(map, options);
+        for (std::size_t level = std::max(finest, 1u); level < tree.media().levels.size();
+             ++level) {
+            Ray ray;
+            ray.origin = {0.1, 0.1, -6};
+            ray.delta = {0, 0, 5.5};
+            Asked asked;
+            asked.apart = std::ldexp(parallel(32).pixelFootprint(1), int(level) + 5);
+            // Where they are far apart each is taken to be independent of the other.
+            const double lit = close ? 0.5 : 0.75 * 0.75;
+            CHECK(traceAll(map, tree, {ray}, asked)[0][0] == Approx(lit).epsilon(0.006));
+        }
+    }
+}
+
 TEST_CASE("what a ray meets does not depend on which rays share its bundle",
           "[trace][exact]") {
     const ShadowMap map = anyMap(test::plainProjection(40, 40), 40, true, 3);
