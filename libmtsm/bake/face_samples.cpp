@@ -35,6 +35,15 @@ raster::MergeDepth footprints(const Projection& projection, double count) {
     return {depth, 0.0};
 }
 
+/// What one sample of a volume takes at most: so little that samples merge. Of a small
+/// tolerance not as little as that, for time's sake, and without one, where every sample
+/// is a layer, what is half a hundredth off.
+double volumeStep(float tolerance) {
+    constexpr double kOfTolerance = 2.0 / 3, kLeast = 0.0005, kUnmerged = 0.01;
+    if (!(tolerance > 0.0f)) return kUnmerged;
+    return std::max(kOfTolerance * double(tolerance), kLeast);
+}
+
 /// Draws casters of all kinds into a grid.
 class Drawing {
   public:
@@ -46,8 +55,8 @@ class Drawing {
           meshes_(projection, facing(settings.options.cull), grid,
                   [this](std::uint64_t done) { return tell(triangles_ = done); }),
           strands_(projection, grid, [this](std::uint64_t) { return tell(triangles_); }),
-          volumes_(projection, grid, [this](std::uint64_t) { return tell(triangles_); }) {
-    }
+          volumes_(projection, grid, volumeStep(settings.options.tolerance),
+                   [this](std::uint64_t) { return tell(triangles_); }) {}
 
     Status add(const CasterView& caster) {
         if (const auto* mesh = std::get_if<MeshView>(&caster)) return addMesh(*mesh);

@@ -1,4 +1,4 @@
-// VolumeMarcher: tiles in batches, a ray per pixel or subsample, a sample per voxel.
+// VolumeMarcher: tiles in batches, a ray per pixel or subsample.
 #include "raster/volume_march.h"
 
 #include <algorithm>
@@ -84,32 +84,49 @@ bool leavesWindow(const VolumeView& view, const LightFromObject& lightFromIndex,
 /// Where the samples of one ray go.
 struct RaySink {
     SampleTile& tile;
-    std::uint32_t pixel = 0;
-    double scale = 1.0;    ///< optical depth per unit of density and t
-    double waiting = 0.0;  ///< optical depth that made no sample yet
     VolumeCounts& counts;
+    std::uint32_t pixel;
+    double step;           ///< most of the light that one sample takes
+    double weight;         ///< of the ray in its pixel
+    double place;          ///< of samples in their parts, 0 to 1; of each ray another
+    double scale = 0.0;    ///< optical depth per unit of density and t
+    double visible = 1.0;  ///< of the light, if the pixel's other rays meet the same
+    double waiting = 0.0;  ///< optical depth that made no sample yet
 
     void operator()(float density, double t0, double t1) {
         ++counts.voxels;
         waiting += scale * double(density) * (t1 - t0);
-        if (waiting < kLeastDepth) return;
-        const auto opacity = float(-std::expm1(-waiting));
-        const double z = t0 + 0.5 * (t1 - t0);
-        const float opacities[3] = {opacity, opacity, opacity};
+        if (waiting * weight < kLeastDepth) return;
+        const double taken = -std::expm1(-waiting), length = (t1 - t0) / waiting;
+        const double parts = std::max(1.0, std::ceil(weight * visible * taken / step));
+        double begin = 0.0;  // of the part, by optical depth
+        for (double i = 1.0; i <= parts; ++i) {
+            const double end = i < parts ? -std::log1p(-i / parts * taken) : waiting;
+            add(t0 + length * (begin + place * (end - begin)), end - begin);
+            begin = end;
+        }
+        visible *= std::exp(-waiting);
+        waiting = 0.0;
+    }
+
+  private:
+    void add(double z, double depth) {
+        const auto o = float(-std::expm1(-weight * depth));
+        const float opacities[3] = {o, o, o};
         tile.add(pixel, float(std::clamp(z, double(FLT_MIN), double(FLT_MAX))),
                  opacities);
         ++counts.samples;
-        waiting = 0.0;
     }
 };
 
 /// One volume in one grid.
 class March {
   public:
-    March(const Projection& projection, SampleGrid& grid, const VolumeIndex& index,
-          const CellsFrom& lightCells)
+    March(const Projection& projection, SampleGrid& grid, double step,
+          const VolumeIndex& index, const CellsFrom& lightCells)
         : projection_(projection),
           grid_(grid),
+          step_(step),
           index_(index),
           cells_(lightCells),
           pixels_(pixelsOf(index, lightCells, projection, grid)) {}
@@ -146,28 +163,31 @@ class March {
     void pixel(glm::uvec2 at, SampleTile& tile, std::uint32_t inTile,
                VolumeCounts& counts) const {
         const std::uint32_t s = grid_.subsamples();
+        const double weight = 1.0 / (double(s) * s);
         for (std::uint32_t j = 0; j < s; ++j) {
             for (std::uint32_t i = 0; i < s; ++i) {
                 const glm::dvec2 r =
                     glm::dvec2(at) + (glm::dvec2(i, j) + 0.5) / double(s);
-                ray(r, 1.0 / (double(s) * s), RaySink{tile, inTile, 0.0, 0.0, counts});
+                const double place = weight * (j * s + i + 0.5);
+                ray(r, RaySink{tile, counts, inTile, step_, weight, place});
             }
         }
     }
 
     /// t of a centre ray is depth, whatever the projection.
-    void ray(glm::dvec2 raster, double weight, RaySink sink) const {
+    void ray(glm::dvec2 raster, RaySink sink) const {
         const bool fromEye = projection_.kind == ProjectionKind::perspective;
         const glm::dvec3 at = projection_.lightFromRaster(raster, 1.0);
         const glm::dvec3 origin = fromEye ? glm::dvec3(0.0) : glm::dvec3(at.x, at.y, 0.0);
         const glm::dvec3 along = fromEye ? at : glm::dvec3(0.0, 0.0, 1.0);
-        sink.scale = weight * double(index_.view().extinction) * glm::length(along);
+        sink.scale = double(index_.view().extinction) * glm::length(along);
         index_.walk(cells_.ray(origin, along), std::max(projection_.near, 0.0),
                     projection_.far, sink);
     }
 
     const Projection& projection_;
     SampleGrid& grid_;
+    double step_;
     const VolumeIndex& index_;
     const CellsFrom& cells_;
     PixelBox pixels_;
@@ -182,7 +202,7 @@ Status VolumeMarcher::add(const VolumeView& volume) {
     const auto cells = index.cellsFrom(lightFromIndex.linear, lightFromIndex.origin);
     if (!cells) ++counts_.flat;
     if (!cells || index.empty() || !(volume.extinction > 0.0f)) return {};
-    const March march(projection_, grid_, index, *cells);
+    const March march(projection_, grid_, step_, index, *cells);
     counts_.leavesWindow += leavesWindow(volume, lightFromIndex, projection_, grid_);
     const std::vector<glm::uvec2> tiles = march.tiles();
     std::vector<VolumeCounts> counts(kBatchTiles);

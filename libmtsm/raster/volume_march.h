@@ -1,16 +1,23 @@
 // volume_march.h - samples of the pixels whose centre rays meet a fog volume.
 //
-//     VolumeMarcher marcher(projection, grid);
+//     VolumeMarcher marcher(projection, grid, 0.005);
 //     if (auto s = marcher.add(volume); !s) return s;
 //
 // Every voxel of density > 0 that a centre ray crosses is one sample: its opacity is
 // 1 - exp(-extinction * density * length), length being that of the ray's chord in the
-// voxel in world units, and its depth that of the chord's middle. So the samples of a ray
-// multiply to its exact transmittance. What would be less opaque than 2^-24 waits for the
-// next voxel of the ray; what is left of that behind the last one is dropped.
+// voxel in world units, and its depth that of the chord's middle. Where it would take
+// more than a step of the light that reached the volume it is several, each taking as
+// much of that: at any depth the samples in front have taken what the fog has, to half a
+// step. Altogether there is no more than a sample for each voxel and one for each step
+// of 1.
+//
+// The samples of a ray multiply to its exact transmittance. What would be less opaque
+// than 2^-24 waits for the next voxel of the ray; what is left of that behind the last
+// one is dropped.
 //
 // With s x s centre rays per pixel each one's optical depths are divided by s * s: the
-// pixel's transmittance is then the geometric mean of theirs.
+// pixel's transmittance is then the geometric mean of theirs. Their samples lie at s * s
+// different places of their chords, lest chords of one length take in step.
 #pragma once
 #include <cstdint>
 #include <functional>
@@ -34,11 +41,15 @@ struct VolumeCounts {
 
 class VolumeMarcher {
   public:
-    /// `grid` must outlive the marcher. `afterBatch`, if any, is called from the calling
-    /// thread with the number of voxels crossed so far; an Error stops the work.
-    VolumeMarcher(const Projection& projection, SampleGrid& grid,
+    /// `grid` must outlive the marcher; `step` is > 0. `afterBatch`, if any, is called
+    /// from the calling thread with the number of voxels crossed so far; an Error stops
+    /// the work.
+    VolumeMarcher(const Projection& projection, SampleGrid& grid, double step,
                   std::function<Status(std::uint64_t)> afterBatch = {})
-        : projection_(projection), grid_(grid), afterBatch_(std::move(afterBatch)) {}
+        : projection_(projection),
+          grid_(grid),
+          step_(step),
+          afterBatch_(std::move(afterBatch)) {}
 
     /// Marches all of a volume through the rows that the grid wants; its arrays are not
     /// needed after the call. Takes 100 to 400 bytes per block meanwhile.
@@ -49,6 +60,7 @@ class VolumeMarcher {
   private:
     Projection projection_;
     SampleGrid& grid_;
+    double step_;
     std::function<Status(std::uint64_t)> afterBatch_;
     VolumeCounts counts_;
 };

@@ -23,13 +23,13 @@ struct KindError {
 KindError errorOf(MapKind kind) noexcept {
     switch (kind) {
         case MapKind::nearField:
-            return {0.0017f, 0.6f};
+            return {0.0008f, 1.2f};
         case MapKind::nearSheets:
             return {0.0016f, 0.75f, 512};
         case MapKind::nearHair:
             return {0.003f, 0.65f, 512};
         case MapKind::volume:
-            return {0.001f, 0.5f};
+            return {0.0004f, 1.0f};
         case MapKind::sheets:
             return {0.009f, 0.75f};
         case MapKind::surfaces:
@@ -39,7 +39,7 @@ KindError errorOf(MapKind kind) noexcept {
     }
 }
 
-constexpr std::uint32_t kResolutions[] = {512, 1024, 2048, 4096};
+constexpr std::uint32_t kResolutions[] = {256, 512, 1024, 2048, 4096};
 /// The smallest and the largest of them that are chosen. Beyond, maps of a kind were
 /// little better, or too large.
 struct Choice {
@@ -52,7 +52,8 @@ Choice choiceFor(MapKind kind, float meanError) noexcept {
                                                        : 1024;
         return {one, one};
     }
-    return {512, kind == MapKind::surfaces ? 4096u : 2048u};
+    return {kind == MapKind::volume ? 256u : 512u,
+            kind == MapKind::surfaces ? 4096u : 2048u};
 }
 
 /// Bytes that a triangle of a near field takes, a little more than it does.
@@ -159,11 +160,37 @@ float boundFor(const std::vector<float>& errors, float budget,
     return low;
 }
 
-/// Samples that the worst of these points takes. (What is never taken need not be made.)
-int mostFor(const std::vector<float>& errors, float bound,
-            const SampleSteps& steps) noexcept {
-    const float worst = *std::max_element(errors.begin(), errors.end());
-    return int(stopOf(worst, bound, steps).samples);
+/// Up to how many samples points take, and the error below which they stop before.
+struct Bounded {
+    int samples = 0;
+    float bound = 0.0f;
+};
+
+/// The fewest samples that bring the mean of errors down to `budget`, `most` if nothing
+/// does. `errors` are those of `first` samples.
+Bounded fewestFor(std::vector<float>& errors, float budget, int first,
+                  int most) noexcept {
+    const bool once = most < 2 * first;  // that is no first step
+    if (once) {
+        for (float& error : errors)
+            error *= shrink(std::uint32_t(first), std::uint32_t(most));
+    }
+    Bounded best{most, 1e-5f};
+    double fewest = HUGE_VAL;
+    // What lies between two powers of four is for the points of most error: their last
+    // step is shorter.
+    for (int samples = once ? most : first;; samples = std::min(2 * samples, most)) {
+        const SampleSteps steps = stepsOf(first, samples);
+        const float bound = boundFor(errors, budget, steps);
+        double sum = 0.0;
+        for (float error : errors)
+            sum += stopOf(error, bound, steps).samples;
+        if (bound > 0.0f && sum < fewest) {
+            fewest = sum;
+            best = {samples, bound};
+        }
+        if (samples == most) return best;
+    }
 }
 
 }  // namespace
@@ -270,16 +297,14 @@ QueryPlan planBy(const Pilot& pilot, const ShadowMap& map, const AreaLight& ligh
         errors = &more.errors;
         unseen *= 0.25;
     }
-    const SampleSteps steps =
-        stepsOf(plan.options.firstSamples, std::clamp(asked.samples, 1, kMaxSamples));
-    for (float& error : *errors)  // the only step may be another
-        error *= shrink(std::uint32_t(plan.options.firstSamples), steps.end[0]);
-    const float bound =
-        std::max(1e-5f, boundFor(*errors, float(kCareful * budget - unseen), steps));
+    const int first = plan.options.firstSamples;
+    const Bounded fewest = fewestFor(*errors, float(kCareful * budget - unseen), first,
+                                     std::clamp(asked.samples, 1, kMaxSamples));
     plan.options.adaptive = false;
-    plan.options.targetError = bound;
-    plan.options.samples = mostFor(*errors, bound, steps);
-    plan.sampleError = float(unseen + meanBelow(*errors, bound, steps));
+    plan.options.targetError = fewest.bound;
+    plan.options.samples = fewest.samples;
+    plan.sampleError =
+        float(unseen + meanBelow(*errors, fewest.bound, stepsOf(first, fewest.samples)));
     plan.reached = plan.sampleError + plan.mapError <= 1.0001f * meanError;
     return plan;
 }

@@ -200,15 +200,13 @@ class PixelSlabs {
         if (pixel.count == 0) return;
         const float way = kind == Kind::sheets ? 1.0f : 1.0f / centreWay(x, y);
         bool dark = isDark(pixel, pixel.count - 1);
-        float low = straight(pixel.z[pixel.count - 1]);
         for (std::uint32_t i = pixel.count; i-- > 0;) {
             const bool restart = i == 0 || isDark(pixel, i - 1);
-            const float high = i > 0 ? straight(pixel.z[i - 1]) : low;
             const bool one = !pixel.n || pixel.n[i] == 1;
             if ((isSheet(dark && one) ? Kind::sheets : Kind::media) == kind)
-                add({pixel, i, dark, restart, one || i == 0, low, high}, way, out);
+                add({pixel, i, dark, restart, one || i == 0, straight(pixel.z[i])}, way,
+                    out);
             dark = restart;
-            low = high;
         }
     }
     /// Are there slabs of sheets in a map of media?
@@ -225,7 +223,7 @@ class PixelSlabs {
         const PixelLayers& pixel;
         std::uint32_t i;
         bool dark, restart, single;
-        float low, high;  // w of its depth and of that before
+        float w;  // of its depth
     };
 
     /// `blocks`: of one sample, and dark. Where strands are all that there is, it is what
@@ -266,13 +264,13 @@ class PixelSlabs {
         return {middle - 0.5f * least, middle + 0.5f * least, depth};
     }
 
-    /// The samples of a layer: spread from the layer before to its own depth. Where they
-    /// end dark, the last one blocks and the others take nothing.
+    /// The samples of a layer. Where they end dark, the last one blocks and the others
+    /// take nothing.
     void add(const Layer& layer, float way, List& out) const {
         Depths<kChannels> depth{}, end{};
         if (layer.dark && (sheets_ || layer.single)) {  // blocks all channels
             end.fill(kDarkDepth);
-            out.push_back(between(layer.low, layer.low, end));
+            out.push_back(between(layer.w, layer.w, end));
             return;
         }
         bool takes = false, ends = false;
@@ -288,17 +286,19 @@ class PixelSlabs {
                 ends = true;
             }
         }
-        if (ends) out.push_back(between(layer.low, layer.low, end));
+        if (ends) out.push_back(between(layer.w, layer.w, end));
         if (!takes) return;
         if (layer.single)
-            out.push_back(between(layer.low, layer.low, depth));
+            out.push_back(between(layer.w, layer.w, depth));
         else
             spread(layer, depth, out);
     }
 
-    /// Evenly in depth; a slab is even in 1/z instead, so a long layer becomes several.
+    /// Evenly in depth, so that half of each sample lies in front of where it is met; a
+    /// slab is even in 1/z instead, so a long layer becomes several.
     void spread(const Layer& layer, Depths<kChannels> depth, List& out) const {
-        const float z0 = layer.pixel.z[layer.i - 1], z1 = layer.pixel.z[layer.i];
+        const float z0 = layer.pixel.z[layer.i - 1] + halfStep(layer.pixel, layer.i);
+        const float z1 = layer.pixel.z[layer.i] + reach(layer.pixel, layer.i);
         std::uint32_t pieces = 1;
         if (perspective_ && z1 > z0) {
             const float thickest = *std::max_element(depth.begin(), depth.end());
@@ -307,19 +307,28 @@ class PixelSlabs {
                 pieces = std::uint32_t(
                     std::ceil(std::min(std::sqrt(off / kUneven), kMostPieces)));
         }
-        if (pieces == 1) {
-            out.push_back(between(layer.low, layer.high, depth));
-            return;
-        }
         for (float& d : depth)
             d /= float(pieces);
         const float step = (z1 - z0) / float(pieces);
-        float low = layer.low;
+        float low = straight(z1);
         for (std::uint32_t k = pieces; k-- > 0;) {
-            const float high = k > 0 ? straight(z0 + step * float(k)) : layer.high;
+            const float high = straight(k > 0 ? z0 + step * float(k) : z0);
             out.push_back(between(low, high, depth));
             low = high;
         }
+    }
+
+    /// Of a layer of several samples, half of the distance between them.
+    static float halfStep(const PixelLayers& pixel, std::uint32_t i) {
+        return 0.5f * (pixel.z[i] - pixel.z[i - 1]) / float(pixel.n[i]);
+    }
+    /// How far behind its depth the last of them is spread: to where the next layer
+    /// begins at most.
+    static float reach(const PixelLayers& pixel, std::uint32_t i) {
+        const float half = halfStep(pixel, i);
+        if (i + 1 == pixel.count) return half;
+        return std::min(half, pixel.n[i + 1] > 1 ? halfStep(pixel, i + 1)
+                                                 : pixel.z[i + 1] - pixel.z[i]);
     }
 
     const Projection& projection_;
@@ -450,6 +459,7 @@ class Merger {
 
     void clear() noexcept {
         slabs_.clear();
+        hiding_.clear();
         count_ = 0;
     }
     /// A list, which `append` appends to what it is given.
@@ -458,6 +468,13 @@ class Merger {
         begin_[count_++] = slabs_.size();
         append(slabs_);
         slabs_.push_back(kEnd);
+        hidingEnd_[count_ - 1] = hiding_.size();
+    }
+    /// The sheets of the texel of the list that was added last.
+    template <typename Append>
+    void addSheets(const Append& append) {
+        append(hiding_);
+        hidingEnd_[count_ - 1] = hiding_.size();
     }
 
     void merge(List& out) {
@@ -537,10 +554,33 @@ class Merger {
             float taken = 0.0f;
             for (const auto& child : open.depth)
                 taken += takenBy(child[c]);
-            slab.depth[c] = depthThatTakes(taken * share);
+            taken *= share;
+            if (!hiding_.empty()) taken = takenBesideSheets(open, c, taken);
+            slab.depth[c] = depthThatTakes(taken);
         }
         out.push_back(slab);
         open.any = false;
+    }
+
+    /// What the children take of the light that their sheets close by leave: where these
+    /// are dark there is none to be taken. `all`: if that is nowhere.
+    [[nodiscard]] float takenBesideSheets(const Open& open, std::uint32_t c,
+                                          float all) const {
+        const float reach = kTogether * limits_.lengthAt(open.low);
+        float taken = 0.0f, left = 0.0f;
+        for (std::size_t k = 0; k < count_; ++k) {
+            float hidden = 0.0f;
+            for (std::size_t i = k > 0 ? hidingEnd_[k - 1] : 0; i < hidingEnd_[k]; ++i) {
+                const Slab<kChannels>& sheet = hiding_[i];
+                if (sheet.low <= open.high + reach && sheet.high >= open.low - reach)
+                    hidden += sheet.depth[c];
+            }
+            const float share = 1.0f - takenBy(hidden);
+            taken += share * takenBy(open.depth[k][c]);
+            left += share;
+        }
+        constexpr float kNone = 1e-3f;
+        return left > kNone ? taken / left : all;
     }
 
     /// Takes what lies from `at` to where a list's slab begins or ends, or the one that
@@ -592,14 +632,15 @@ class Merger {
     }
 
     Limits limits_;
-    List slabs_;  // of all lists, each with kEnd behind
-    std::size_t begin_[4] = {}, count_ = 0;
+    List slabs_;   // of all lists, each with kEnd behind
+    List hiding_;  // sheets of all texels
+    std::size_t begin_[4] = {}, hidingEnd_[4] = {}, count_ = 0;
 };
 
 /// Level 1 of a face, level 0 being read a texel's four pixels at a time.
 template <std::uint32_t kChannels>
-bool makeLevel1(const ShadowMap& map, std::uint32_t face, Kind kind, Limits limits,
-                DensityLevel& level) {
+bool makeLevel1(const ShadowMap& map, std::uint32_t face, Kind kind, bool besideSheets,
+                Limits limits, DensityLevel& level) {
     const std::uint32_t width = map.info().width, height = map.info().height;
     level.width = (width + 1) / 2;
     level.height = (height + 1) / 2;
@@ -617,6 +658,10 @@ bool makeLevel1(const ShadowMap& map, std::uint32_t face, Kind kind, Limits limi
                         for (std::size_t i = first; i < list.size(); ++i)
                             list[i] = decode<kChannels>(encode(list[i]));
                     });
+                    if (!besideSheets) continue;
+                    merger.addSheets([&](Slabs<kChannels>& list) {
+                        pixels.read(map.pixel(face, u, v), u, v, Kind::sheets, list);
+                    });
                 }
             }
             merger.merge(slabs);
@@ -624,8 +669,10 @@ bool makeLevel1(const ShadowMap& map, std::uint32_t face, Kind kind, Limits limi
     });
 }
 
+/// `sheets`: those of the texels of `fine`, or null.
 template <std::uint32_t kChannels>
-bool makeCoarser(const DensityLevel& fine, Limits limits, DensityLevel& level) {
+bool makeCoarser(const DensityLevel& fine, const DensityLevel* sheets, Limits limits,
+                 DensityLevel& level) {
     level.width = (fine.width + 1) / 2;
     level.height = (fine.height + 1) / 2;
     return makeLevel<kChannels>(level, [&] {
@@ -636,6 +683,10 @@ bool makeCoarser(const DensityLevel& fine, Limits limits, DensityLevel& level) {
                 for (std::uint32_t u = 2 * x; u < std::min(2 * x + 2, fine.width); ++u) {
                     merger.add([&](Slabs<kChannels>& list) {
                         unpack(fine, fine.at(u, v), list);
+                    });
+                    if (!sheets) continue;
+                    merger.addSheets([&](Slabs<kChannels>& list) {
+                        unpack(*sheets, sheets->at(u, v), list);
                     });
                 }
             }
@@ -657,9 +708,11 @@ bool hasSheets(const ShadowMap& map, std::uint32_t face) {
     return found;
 }
 
+/// `sheets`: those beside media.
 template <std::uint32_t kChannels>
 bool makePyramid(const ShadowMap& map, std::uint32_t face, Kind kind,
-                 const DensityOptions& options, DensityPyramid& pyramid) {
+                 const DensityPyramid& sheets, const DensityOptions& options,
+                 DensityPyramid& pyramid) {
     const Projection& p = map.projection(face);
     const bool sheetsAlone = map.info().translucent == Translucent::sheets;
     if (kind == Kind::media ? sheetsAlone
@@ -670,8 +723,8 @@ bool makePyramid(const ShadowMap& map, std::uint32_t face, Kind kind,
         if (!makePixels<kChannels>(map, face, kind, pyramid.levels[0])) return false;
     } else {
         pyramid.levels.emplace_back();
-        if (!makeLevel1<kChannels>(map, face, kind, limitsOf(p, options, kind, 1),
-                                   pyramid.levels[1]))
+        if (!makeLevel1<kChannels>(map, face, kind, !sheets.empty(),
+                                   limitsOf(p, options, kind, 1), pyramid.levels[1]))
             return false;
     }
     if (pyramid.levels.back().slabs.size() == kLanes) {
@@ -684,8 +737,10 @@ bool makePyramid(const ShadowMap& map, std::uint32_t face, Kind kind,
         const auto i = std::uint32_t(pyramid.levels.size());
         DensityLevel level;
         const Limits limits = limitsOf(p, options, kind, i);
-        if (!makeCoarser<kChannels>(pyramid.levels.back(), limits, level)) return false;
-        if (i <= options.finest) pyramid.levels.back() = {};
+        const DensityLevel* const beside =
+            sheets.empty() ? nullptr : &sheets.levels[i - 1];
+        if (!makeCoarser<kChannels>(pyramid.levels.back(), beside, limits, level))
+            return false;
         pyramid.levels.push_back(std::move(level));
     }
     return true;
@@ -715,12 +770,17 @@ Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
     present.finest = tree.finest_ = std::min(options.finest, coarsest);
     const bool indexable = std::uint64_t(tree.width_) * tree.height_ <= kMostTexels;
     const auto make = tree.channels_ == 3 ? makePyramid<3> : makePyramid<1>;
-    if (!indexable || !make(map, face, Kind::media, present, tree.media_) ||
-        !make(map, face, Kind::sheets, present, tree.sheets_))
+    if (!indexable || !make(map, face, Kind::sheets, {}, present, tree.sheets_) ||
+        !make(map, face, Kind::media, tree.sheets_, present, tree.media_))
         return base::makeError(
             ErrorCode::tooLarge, "face ", face,
             " has too many pixels or layers for a density tree: bake with a "
             "lower resolution or a larger tolerance");
+    for (DensityPyramid* pyramid : {&tree.media_, &tree.sheets_}) {
+        if (pyramid->empty()) continue;
+        for (std::uint32_t i = 0; i < tree.finest_; ++i)
+            pyramid->levels[i] = {};
+    }
     return tree;
 }
 

@@ -9,20 +9,23 @@
 // other ray per unit of depth they are what that ray loses [traverse.h, Media]. Sheets
 // take the same at any slant.
 //
-// Merging. At level 0 every layer is a slab. Above, slabs of a texel's four children that
-// lie about one another become one while it is short and thin (see DensityOptions), or
-// within a texel's footprint of where it begins. The children's areas are apart, so light
-// adds: the mean of the transmittance is kept, not that of the depth, which would be too
-// dark. So a strand that covers part of several pixels is summed up before the logarithm,
-// and what lies in other slabs is taken for independent: there depths add. (Measured:
-// tests/bench/NOTES.md.)
+// Merging. At level 0 every layer is a slab, one of several samples from half a step in
+// front of the first to half a step behind the last. Above, slabs of a texel's four
+// children that lie about one another become one while it is short and thin (see
+// DensityOptions), or within a texel's footprint of where it begins. The children's areas
+// are apart, so light adds: the mean of the transmittance is kept, not that of the depth,
+// which would be too dark. So a strand that covers part of several pixels is summed up
+// before the logarithm, and what lies in other slabs is taken for independent: there
+// depths add. (Measured: tests/bench/NOTES.md.)
 //
 // Sheets are never cut, and those that lie within some footprints of one another become
 // one at the mean of their depths.
 //
 // In a map of media the layers of one sample that are dark are sheets as well: they count
 // from elsewhere along a ray, are met within a bias, and take the same at any slant. They
-// have a pyramid of their own. Not so where a near field says that strands are all that
+// have a pyramid of their own, and what media near them take is the mean over the light
+// that they leave: at the edge of a strand that fills a pixel the next one is covered in
+// part, and both are one thing. Not so where a near field says that strands are all that
 // there is: there they are what fills a pixel, and one with what fills a part of the
 // next.
 //

@@ -302,22 +302,22 @@ class Recommended(Compare):
 
 class Chosen(Compare):
     def test_rows_that_choose_say_what_and_whether_it_was_enough(self):
-        job(more=FLOOR + '[[method]]\nname = "mtsm"\ntarget-error = [0.1, 0.0004]\n')
+        job(more=FLOOR + '[[method]]\nname = "mtsm"\ntarget-error = [0.1, 0.0002]\n')
         done = self.good(self.of_job("--light-scales", "1", "--no-pictures", "--truth", 256))
         runs = self.results()["runs"]
         # Samples are chosen: the row does not claim those of the default.
-        self.assertEqual([r["label"] for r in runs], ["mtsm target-error=0.1", "mtsm target-error=4e-04"])
+        self.assertEqual([r["label"] for r in runs], ["mtsm target-error=0.1", "mtsm target-error=2e-04"])
         easy, hard = (r["choice"] for r in runs)
         self.assertRegex(easy["text"], r"^resolution 512, (\d+ to )?\d+ samples$")
         self.assertEqual((easy["target"], easy["met"], hard["met"]), (0.1, True, False))
         self.assertLess(easy["expected"], 0.1)
-        self.assertGreater(hard["expected"], 0.0004)
+        self.assertGreater(hard["expected"], 0.0002)
         self.assertIn(easy["text"] + ", expects an error of", done.stdout)
         self.assertIn(": target met", done.stdout)
         self.assertIn(": TARGET MISSED", done.stdout)
         warnings = [line for line in done.stderr.splitlines() if "more than was asked for" in line]
         self.assertEqual(len(warnings), 1, done.stderr)
-        self.assertIn("mtsm target-error=4e-04: expects to be off by about", warnings[0])
+        self.assertIn("mtsm target-error=2e-04: expects to be off by about", warnings[0])
         again = self.good(self.of_job("--light-scales", "1", "--no-pictures", "--truth", 256))
         self.assertEqual(again.stdout, done.stdout)
         self.assertEqual(again.stderr, done.stderr)

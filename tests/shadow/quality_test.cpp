@@ -79,7 +79,8 @@ TEST_CASE("what is asked for better is never given a smaller map", "[quality]") 
             CHECK(chosen.reached == (chosen.error <= error * 0.5f));
             // No smaller map would have done; those with a near field of strands or
             // sheets do not get worse.
-            if (chosen.resolution > 512 && chosen.kind != MapKind::nearHair &&
+            const std::uint32_t least = casters.volumes ? 256 : 512;
+            if (chosen.resolution > least && chosen.kind != MapKind::nearHair &&
                 chosen.kind != MapKind::nearSheets)
                 CHECK(mapError(chosen.kind, chosen.resolution / 2) > error * 0.5f);
             before = chosen;

@@ -311,6 +311,27 @@ TEST_CASE("a homogeneous slab gives exp(-s way) at any slant from texels of any 
     }
 }
 
+TEST_CASE("layers of few samples take at the mean depth what their samples take",
+          "[trace][exact]") {
+    // Samples at 10/3, 14/3, 6, and at 7.5, 9, each .3 deep.
+    const ShadowMap map = mapOf(mediaInfo(8), parallel(8), [](auto, auto) {
+        return std::vector<TestLayer>{
+            {2.0f, 1.0f, 1}, {6.0f, std::exp(-0.9f), 3}, {9.0f, std::exp(-1.5f), 2}};
+    });
+    std::vector<Ray> rays;
+    constexpr int kStarts = 1000;
+    for (int i = 0; i < kStarts; ++i) {
+        const double z = 1.0 + 10.0 * (i + 0.5) / kStarts;
+        rays.push_back({{0.5, 0.5, -z}, {0, 0, z - 0.5}});
+    }
+    double mean = 0.0, expected = 0.0;
+    for (const auto& visible : traceAll(map, treeOf(map), rays))
+        mean -= std::log(visible[0]) / kStarts;
+    for (const double z : {10.0 / 3, 14.0 / 3, 6.0, 7.5, 9.0})
+        expected += 0.3 * (11.0 - z) / 10.0;
+    CHECK(mean == Approx(expected).margin(0.004));  // densities are rounded by 1/256
+}
+
 TEST_CASE("a layer as far away as floats go leaves the others as they are",
           "[trace][exact]") {
     Projection view = parallel(64);
@@ -417,6 +438,36 @@ TEST_CASE("a texel that is half covered by surfaces lets half of the light throu
         Asked asked;
         asked.apart = std::ldexp(parallel(32).pixelFootprint(1), int(level) + 5);
         CHECK(traceAll(map, tree, {ray}, asked)[0][0] == Approx(0.5).epsilon(0.003));
+    }
+}
+
+TEST_CASE("what is dark takes nothing from what lets light through beside it",
+          "[trace][exact]") {
+    // A quarter is dark, a quarter clear, half lets half through: beside what is dark, as
+    // at the edge of a strand, or far from it.
+    const float z = GENERATE(5.0f, 5.05f, 2.0f);
+    const ShadowMap map =
+        mapOf(mediaInfo(32), parallel(32), [&](std::uint32_t x, std::uint32_t y) {
+            if (x % 2 && y % 2) return std::vector<TestLayer>{{5.0f, 0.0f, 1}};
+            if (x % 2 || y % 2) return std::vector<TestLayer>{{z, 0.5f, 1}};
+            return std::vector<TestLayer>{};
+        });
+    const bool close = z > 4.0f;
+    for (const std::uint32_t finest : {0u, 1u, 2u}) {
+        DensityOptions options;
+        options.finest = finest;
+        const DensityTree tree = treeOf(map, options);
+        for (std::size_t level = std::max(finest, 1u); level < tree.media().levels.size();
+             ++level) {
+            Ray ray;
+            ray.origin = {0.1, 0.1, -6};
+            ray.delta = {0, 0, 5.5};
+            Asked asked;
+            asked.apart = std::ldexp(parallel(32).pixelFootprint(1), int(level) + 5);
+            // Where they are far apart each is taken to be independent of the other.
+            const double lit = close ? 0.5 : 0.75 * 0.75;
+            CHECK(traceAll(map, tree, {ray}, asked)[0][0] == Approx(lit).epsilon(0.006));
+        }
     }
 }
 
