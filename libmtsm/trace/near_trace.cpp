@@ -33,6 +33,7 @@ HWY_BEFORE_NAMESPACE();
 namespace mtsm::trace {
 namespace HWY_NAMESPACE {
 
+constexpr std::uint32_t kAll = (1u << hn::MaxLanes(Floats())) - 1;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 /// Of a ray's coordinates, added to its boxes; their rounding is an eighth of it.
 constexpr float kMargin = 0x1p-20f;
@@ -60,12 +61,6 @@ struct Box {
     float low[3] = {kInfinity, kInfinity, kInfinity};
     float high[3] = {-kInfinity, -kInfinity, -kInfinity};
 
-    [[nodiscard]] bool overlaps(const Box& b) const {
-        for (int axis = 0; axis < 3; ++axis) {
-            if (!(low[axis] <= b.high[axis] && high[axis] >= b.low[axis])) return false;
-        }
-        return true;
-    }
     void include(const Box& b) {
         for (int axis = 0; axis < 3; ++axis) {
             low[axis] = std::min(low[axis], b.low[axis]);
@@ -181,11 +176,18 @@ class Walk {
     void bound(int receiver);
     [[nodiscard]] bool anyOpen(int receiver) const;
     [[nodiscard]] Box boxOf(int receiver, int row, int lane) const;
+    [[nodiscard]] Mask overlaps(int receiver, int row, int k, const Box& box) const;
     void node(std::size_t level, std::size_t index);
     void findLanes(const NearBoxes& boxes, std::uint32_t children, int k,
                    std::uint32_t* lanes) const;
     void chunk(std::size_t index, std::uint32_t lanes);
-    [[nodiscard]] std::uint32_t trianglesFor(int lane, const Triangles& triangles) const;
+    [[nodiscard]] HWY_INLINE std::uint32_t trianglesFor(int lane,
+                                                        const Triangles& triangles) const;
+    [[nodiscard]] Mask inBox(int lane, const Triangles& triangles, std::size_t t) const;
+    [[nodiscard]] HWY_INLINE Mask inCone(int lane, const Triangles& triangles,
+                                         std::size_t t) const;
+    [[nodiscard]] HWY_INLINE Mask risesAbove(int lane, const Triangles& triangles,
+                                             std::size_t t) const;
     void cross(int lane, const SeenTriangles& seen, int t, const Box& box);
 
     const NearField& field_;
@@ -198,6 +200,8 @@ class Walk {
     alignas(64) float low_[3][kMostReceivers], high_[3][kMostReceivers];
     /// [axis][receiver]: what places on its rays are rounded by, at most.
     alignas(64) float margin_[3][kMostReceivers] = {};
+    /// [receiver]: as far as its rays come in w, margin included.
+    alignas(64) float reach_[kMostReceivers] = {};
     std::uint16_t lanesLeft_ = 0;  ///< receivers with a ray that is open
 };
 
@@ -247,6 +251,7 @@ void Walk::bound(int receiver) {
                               rays_.rise[receiver];
             margin_[axis][receiver] = (std::abs(start[axis]) + way) * 2.0f * kMargin;
         }
+        reach_[receiver] = rays_.rise[receiver] + margin_[2][receiver];
     }
     for (int axis = 0; axis < 3; ++axis) {
         low_[axis][receiver] = box.low[axis];
@@ -297,8 +302,6 @@ void Walk::findLanes(const NearBoxes& boxes, std::uint32_t children, int k,
                      std::uint32_t* lanes) const {
     const Floats d;
     const auto load = [&](const float* p) { return hn::Load(d, p + k); };
-    const Vec low[3] = {load(low_[0]), load(low_[1]), load(low_[2])};
-    const Vec high[3] = {load(high_[0]), load(high_[1]), load(high_[2])};
     const bool planes = rays_.hasPlanes;
     const Vec zero = hn::Zero(d);
     const Vec start[3] = {load(rays_.u), load(rays_.v), load(rays_.w)};
@@ -306,43 +309,61 @@ void Walk::findLanes(const NearBoxes& boxes, std::uint32_t children, int k,
                            planes ? load(rays_.planeV) : zero,
                            planes ? load(rays_.planeW) : zero};
     const Vec height = hn::Set(d, planes ? height_ : -kInfinity);
-    const Vec margin[3] = {load(margin_[0]), load(margin_[1]), load(margin_[2])};
+    Vec above[3], below[3];  // the starts, moved by the margins
+    for (int axis = 0; axis < 3; ++axis) {
+        above[axis] = hn::Add(start[axis], load(margin_[axis]));
+        below[axis] = hn::Sub(start[axis], load(margin_[axis]));
+    }
     const Vec slopeLow[2] = {load(rays_.slopeLowU), load(rays_.slopeLowV)};
     const Vec slopeHigh[2] = {load(rays_.slopeHighU), load(rays_.slopeHighV)};
-    const Mask wide = maskOf(std::uint32_t(rays_.wide) >> k);
+    const Vec reach = load(reach_);
+    const std::uint32_t wide = (std::uint32_t(rays_.wide) >> k) & kAll;
     for (; children; children &= children - 1) {
         const int i = std::countr_zero(children);
-        Mask may = hn::Ge(zero, zero);
-        Vec above = zero, sides[3][2];
+        Vec rise = zero, low[3], high[3];
         for (int axis = 0; axis < 3; ++axis) {
-            const Vec boxLow = hn::Set(d, boxes.low[axis][i]);
-            const Vec boxHigh = hn::Set(d, boxes.high[axis][i]);
-            sides[axis][0] = hn::Sub(hn::Sub(boxLow, start[axis]), margin[axis]);
-            sides[axis][1] = hn::Add(hn::Sub(boxHigh, start[axis]), margin[axis]);
-            may = hn::And(
-                may, hn::And(hn::Le(low[axis], boxHigh), hn::Ge(high[axis], boxLow)));
+            low[axis] = hn::Set(d, boxes.low[axis][i]);
+            high[axis] = hn::Set(d, boxes.high[axis][i]);
             // Of the box's corners the highest.
-            const Vec far = hn::IfThenElse(hn::Lt(normal[axis], zero), boxLow, boxHigh);
-            above = hn::Add(above, hn::Mul(normal[axis], hn::Sub(far, start[axis])));
+            const Vec far =
+                hn::IfThenElse(hn::Lt(normal[axis], zero), low[axis], high[axis]);
+            rise = hn::Add(rise, hn::Mul(normal[axis], hn::Sub(far, start[axis])));
         }
-        const Vec least = hn::Max(zero, sides[2][0]);
-        Mask within = hn::Ge(zero, zero);
-        for (int axis = 0; axis < 2; ++axis)
-            within = hn::And(within,
-                             comesBetween(sides[axis][0], sides[axis][1], slopeLow[axis],
-                                          slopeHigh[axis], least, sides[2][1]));
-        may = hn::And(may, hn::Or(within, wide));
-        lanes[i] |= bitsOf(hn::And(may, hn::Gt(above, height))) << k;
+        const Vec least = hn::Max(zero, hn::Sub(low[2], above[2]));
+        const Vec most = hn::Min(reach, hn::Sub(high[2], below[2]));
+        Mask may = hn::Le(least, most);
+        for (int axis = 0; axis < 2; ++axis) {
+            may =
+                hn::And(may, comesBetween(hn::Sub(low[axis], above[axis]),
+                                          hn::Sub(high[axis], below[axis]),
+                                          slopeLow[axis], slopeHigh[axis], least, most));
+        }
+        std::uint32_t found = bitsOf(may);
+        if (wide) {
+            Mask overlap = hn::Ge(zero, zero);
+            for (int axis = 0; axis < 3; ++axis) {
+                overlap = hn::And(overlap, hn::And(hn::Le(load(low_[axis]), high[axis]),
+                                                   hn::Ge(load(high_[axis]), low[axis])));
+            }
+            found = (found & ~wide) | (bitsOf(overlap) & wide);
+        }
+        lanes[i] |= (found & bitsOf(hn::Gt(rise, height))) << k;
     }
 }
 
 void Walk::chunk(std::size_t index, std::uint32_t lanes) {
     const Triangles triangles(field_.chunks, index);
     const std::uint32_t all = (1u << field_.chunks.place(index).triangles) - 1;
-    for (; lanes; lanes &= lanes - 1) {
-        const int lane = std::countr_zero(lanes);
-        std::uint32_t found = all & trianglesFor(lane, triangles);
-        if (found == 0) continue;
+    // Which, for all of them first: branches on what is found are foreseen badly.
+    std::uint32_t foundFor[kMostReceivers], some = 0;
+    for (std::uint32_t rest = lanes; rest; rest &= rest - 1) {
+        const int lane = std::countr_zero(rest);
+        foundFor[lane] = all & trianglesFor(lane, triangles);
+        some |= std::uint32_t(foundFor[lane] != 0) << lane;
+    }
+    for (; some; some &= some - 1) {
+        const int lane = std::countr_zero(some);
+        std::uint32_t found = foundFor[lane];
         float start[3];
         startOf(lane, start);
         const SeenTriangles seen(triangles, start);
@@ -357,53 +378,93 @@ void Walk::chunk(std::size_t index, std::uint32_t lanes) {
 std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
     const Floats d;
     std::uint32_t found = 0;
-    const float normal[3] = {rays_.planeU[lane], rays_.planeV[lane], rays_.planeW[lane]};
-    float start[3];
-    startOf(lane, start);
     for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
-        Mask may = hn::Le(hn::Load(d, triangles.low[0] + t), hn::Set(d, high_[0][lane]));
-        for (int axis = 0; axis < 3; ++axis) {
-            may = hn::And(may, hn::Le(hn::Load(d, triangles.low[axis] + t),
-                                      hn::Set(d, high_[axis][lane])));
-            may = hn::And(may, hn::Ge(hn::Load(d, triangles.high[axis] + t),
-                                      hn::Set(d, low_[axis][lane])));
-        }
-        if (!(rays_.wide >> lane & 1)) {
-            const auto side = [&](const float* p, int axis, float margin) {
-                return hn::Sub(hn::Load(d, p + t), hn::Set(d, start[axis] - margin));
-            };
-            const auto low = [&](int axis) {
-                return side(triangles.low[axis], axis, -margin_[axis][lane]);
-            };
-            const auto high = [&](int axis) {
-                return side(triangles.high[axis], axis, margin_[axis][lane]);
-            };
-            const Vec least = hn::Max(hn::Zero(d), low(2)), most = high(2);
-            may = hn::And(may,
-                          comesBetween(low(0), high(0), hn::Set(d, rays_.slopeLowU[lane]),
-                                       hn::Set(d, rays_.slopeHighU[lane]), least, most));
-            may = hn::And(may,
-                          comesBetween(low(1), high(1), hn::Set(d, rays_.slopeLowV[lane]),
-                                       hn::Set(d, rays_.slopeHighV[lane]), least, most));
-        }
-        if (rays_.hasPlanes) {
-            const float least = std::max(height_, triangles.roundingAbove(rays_, lane));
-            Vec highest = hn::Set(d, -kInfinity);
-            for (const auto& corner : triangles.corner) {
-                Vec height = hn::Zero(d);
-                for (int axis = 0; axis < 3; ++axis) {
-                    height =
-                        hn::Add(height, hn::Mul(hn::Set(d, normal[axis]),
-                                                hn::Sub(hn::Load(d, corner[axis] + t),
-                                                        hn::Set(d, start[axis]))));
-                }
-                highest = hn::Max(highest, height);
-            }
-            may = hn::And(may, hn::Gt(highest, hn::Set(d, least)));
-        }
+        Mask may = rays_.wide >> lane & 1 ? inBox(lane, triangles, t)
+                                          : inCone(lane, triangles, t);
+        if (rays_.hasPlanes) may = hn::And(may, risesAbove(lane, triangles, t));
         found |= bitsOf(may) << t;
     }
     return found;
+}
+
+/// Of as many triangles as a vector holds, from number t on: those whose boxes overlap
+/// the one around the receiver's rays.
+Mask Walk::inBox(int lane, const Triangles& triangles, std::size_t t) const {
+    const Floats d;
+    Mask may = hn::Le(hn::Load(d, triangles.low[0] + t), hn::Set(d, high_[0][lane]));
+    for (int axis = 0; axis < 3; ++axis) {
+        may = hn::And(may, hn::Le(hn::Load(d, triangles.low[axis] + t),
+                                  hn::Set(d, high_[axis][lane])));
+        may = hn::And(may, hn::Ge(hn::Load(d, triangles.high[axis] + t),
+                                  hn::Set(d, low_[axis][lane])));
+    }
+    return may;
+}
+
+/// The same by what all its rays go sideways, which have bounds.
+Mask Walk::inCone(int lane, const Triangles& triangles, std::size_t t) const {
+    const Floats d;
+    float start[3];
+    startOf(lane, start);
+    const auto low = [&](int axis) {
+        return hn::Sub(hn::Load(d, triangles.low[axis] + t),
+                       hn::Set(d, start[axis] + margin_[axis][lane]));
+    };
+    const auto high = [&](int axis) {
+        return hn::Sub(hn::Load(d, triangles.high[axis] + t),
+                       hn::Set(d, start[axis] - margin_[axis][lane]));
+    };
+    const Vec least = hn::Max(hn::Zero(d), low(2));
+    const Vec most = hn::Min(high(2), hn::Set(d, reach_[lane]));
+    const Mask inU = comesBetween(low(0), high(0), hn::Set(d, rays_.slopeLowU[lane]),
+                                  hn::Set(d, rays_.slopeHighU[lane]), least, most);
+    const Mask inV = comesBetween(low(1), high(1), hn::Set(d, rays_.slopeLowV[lane]),
+                                  hn::Set(d, rays_.slopeHighV[lane]), least, most);
+    return hn::And(hn::Le(least, most), hn::And(inU, inV));
+}
+
+/// Those that are not the receiver's own surface.
+Mask Walk::risesAbove(int lane, const Triangles& triangles, std::size_t t) const {
+    const Floats d;
+    const float normal[3] = {rays_.planeU[lane], rays_.planeV[lane], rays_.planeW[lane]};
+    float start[3];
+    startOf(lane, start);
+    Vec highest = hn::Set(d, -kInfinity);
+    for (const auto& corner : triangles.corner) {
+        Vec height = hn::Zero(d);
+        for (int axis = 0; axis < 3; ++axis) {
+            height = hn::Add(height, hn::Mul(hn::Set(d, normal[axis]),
+                                             hn::Sub(hn::Load(d, corner[axis] + t),
+                                                     hn::Set(d, start[axis]))));
+        }
+        highest = hn::Max(highest, height);
+    }
+    const float least = std::max(height_, triangles.roundingAbove(rays_, lane));
+    return hn::Gt(highest, hn::Set(d, least));
+}
+
+/// Of as many rays of a row as a vector holds, from lane k on: boxOf() overlaps the box.
+Mask Walk::overlaps(int receiver, int row, int k, const Box& box) const {
+    const Floats d;
+    float start[3];
+    startOf(receiver, start);
+    const float* const ways[3] = {rays_.du[row], rays_.dv[row], rays_.dw[row]};
+    const Vec begin = hn::Load(d, rays_.begin[row] + k);
+    const Vec end = hn::Load(d, end_[row] + k);
+    Mask overlap = hn::Ge(end, hn::Zero(d));
+    for (int axis = 0; axis < 3; ++axis) {
+        const Vec origin = hn::Set(d, start[axis]);
+        const Vec way = hn::Load(d, ways[axis] + k);
+        const Vec reach = hn::Mul(hn::Abs(way), end);
+        const Vec margin = hn::Mul(hn::Add(hn::Abs(origin), reach), hn::Set(d, kMargin));
+        const Vec from = hn::Add(origin, hn::Mul(begin, way));
+        const Vec to = hn::Add(origin, hn::Mul(end, way));
+        const Vec low = hn::Sub(hn::Min(from, to), margin);
+        const Vec high = hn::Add(hn::Max(from, to), margin);
+        overlap = hn::And(overlap, hn::And(hn::Le(low, hn::Set(d, box.high[axis])),
+                                           hn::Ge(high, hn::Set(d, box.low[axis]))));
+    }
+    return overlap;
 }
 
 /// Closes the receiver's rays that cross a triangle.
@@ -439,13 +500,12 @@ void Walk::cross(int lane, const SeenTriangles& seen, int t, const Box& box) {
                 hn::Gt(towards, hn::Mul(rate, hn::Load(d, rays_.begin[row] + k)));
             const Mask before =
                 hn::Le(towards, hn::Mul(rate, hn::Load(d, end_[row] + k)));
-            std::uint32_t hits = open & bitsOf(hn::And(through, hn::And(behind, before)));
-            for (; hits; hits &= hits - 1) {
-                const int i = k + std::countr_zero(hits);
-                if (!boxOf(lane, row, i).overlaps(box)) continue;
-                rays_.open[row] = std::uint16_t(rays_.open[row] & ~(1u << i));
-                closed = true;
-            }
+            const Mask met = hn::And(through, hn::And(behind, before));
+            if (!(open & bitsOf(met))) continue;
+            const std::uint32_t hits =
+                open & bitsOf(hn::And(met, overlaps(lane, row, k, box)));
+            rays_.open[row] = std::uint16_t(rays_.open[row] & ~(hits << k));
+            closed = closed || hits != 0;
         }
     }
     if (closed && !anyOpen(lane)) lanesLeft_ = std::uint16_t(lanesLeft_ & ~(1u << lane));
