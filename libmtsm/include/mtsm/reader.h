@@ -38,8 +38,8 @@ struct ReadLimits {
 };
 
 /// The whole map. Errors: io, badFile (the message names the damaged part, its offset and
-/// the way out), unsupported (newer major version, unknown critical block, or anything else
-/// that is not understood in a newer minor version), tooLarge (a limit).
+/// the way out), unsupported (newer major version, unknown critical block, or anything
+/// else that is not understood in a newer minor version), tooLarge (a limit).
 Result<ShadowMap> readMap(const std::string& path, const ReadLimits& limits = {});
 
 /// The same from memory; `name` stands for the path in messages.
