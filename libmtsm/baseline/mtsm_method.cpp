@@ -29,6 +29,7 @@ class MtsmMethod final : public Method {
         ShadowOptions options = optionsOf(settings);
         if (const auto plan = planned(light, at, settings)) options = plan->options;
         if (Status fine = checkQuery(map_, light, options); !fine) return fine;
+        const std::vector<std::uint32_t> numbers = pixelPoints(at, options);
         // Where the ray tracer's rays start: beside a strand a tenth of its width
         // matters.
         mtsm::shadowFactors(map_, light, at.starts ? at.starts : at.points, at.normals,
@@ -48,6 +49,23 @@ class MtsmMethod final : public Method {
     }
 
   private:
+    /// What the points of a pixel need to share its samples; nothing where a pixel has
+    /// one.
+    static std::vector<std::uint32_t> pixelPoints(const Receivers& at,
+                                                  ShadowOptions& options) {
+        std::size_t most = 1;
+        for (std::size_t p = 0; p < at.pixels; ++p)
+            most = std::max(most, at.first[p + 1] - at.first[p]);
+        if (most == 1 || most > std::size_t(kMaxPointsPerPixel)) return {};
+        std::vector<std::uint32_t> numbers(at.count);
+        for (std::size_t p = 0; p < at.pixels; ++p) {
+            for (std::size_t i = at.first[p]; i < at.first[p + 1]; ++i)
+                numbers[i] = std::uint32_t(p * most + (i - at.first[p]));
+        }
+        options.pointsPerPixel = int(most);
+        options.pixelPoints = numbers.data();
+        return numbers;
+    }
     static ShadowOptions optionsOf(const Settings& settings) {
         ShadowOptions options;
         options.samples = settings.whole("samples");

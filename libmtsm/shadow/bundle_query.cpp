@@ -9,6 +9,7 @@
 
 #include "base/sampling.h"
 #include "shadow/map_faces.h"
+#include "shadow/pixel_share.h"
 #include "trace/density_trace.h"
 #include "trace/hair_trace.h"
 #include "trace/near_trace.h"
@@ -75,10 +76,11 @@ double hairWidth(std::uint32_t samples) noexcept {
 
 LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& light,
                              const ShadowOptions& options, bool near, double nearMost,
-                             bool normals, std::optional<std::uint32_t> onlyKey) {
+                             bool normals, std::optional<std::uint32_t> onlyPattern) {
     LightRays::Setting setting;
     setting.seed = options.seed;
-    setting.onlyKey = onlyKey;
+    setting.onlyPattern = onlyPattern;
+    setting.pointsPerPixel = std::uint32_t(options.pointsPerPixel);
     setting.isPoint = light.isPoint();
     setting.samples =
         light.isPoint() ? 1u : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
@@ -173,7 +175,8 @@ BundleQuery::Face::Face(const ShadowMap& map, std::uint32_t number, ZRange reach
 }
 
 BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
-                         const ShadowOptions& options, bool errors, const Receiver* only)
+                         const ShadowOptions& options, bool errors, const Receiver* only,
+                         std::size_t onlyNumber)
     : map_(map),
       light_(light),
       options_(options),
@@ -185,6 +188,7 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
                    ? 1u
                    : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples))),
       steps_(SampleSteps::of(options, samples_)),
+      patterns_(LightRays::patterns(samples_, std::uint32_t(options.pointsPerPixel))),
       errors_(errors || options.targetError > 0.0f) {
     const light::LightView seen =
         light_.view(map.projection(0).eye + map.projection(0).forward);
@@ -193,21 +197,21 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
     faces_.reserve(map.faceCount());
     for (std::uint32_t f = 0; f < map.faceCount(); ++f)
         faces_.emplace_back(map, f, depthsOf(map, f, options.bias), light_);
-    std::optional<std::uint32_t> key;
+    std::optional<std::uint32_t> pattern;
     std::uint32_t met = (1u << map.faceCount()) - 1;
     if (only) {
-        key = keyOf(*only);
+        pattern = patternOf(onlyNumber, only->point);
         if (faces_.size() > 1) met = facesMet(faceOf(only->point), only->point);
     }
     for (std::uint32_t f = 0; f < faces_.size(); ++f) {
         if (!(met >> f & 1)) continue;
-        if (!only || only->normal != glm::dvec3(0.0)) addRays(faces_[f], true, key);
-        if (!only || only->normal == glm::dvec3(0.0)) addRays(faces_[f], false, key);
+        if (!only || only->normal != glm::dvec3(0.0)) addRays(faces_[f], true, pattern);
+        if (!only || only->normal == glm::dvec3(0.0)) addRays(faces_[f], false, pattern);
     }
 }
 
 void BundleQuery::addRays(Face& face, bool normals,
-                          std::optional<std::uint32_t> onlyKey) {
+                          std::optional<std::uint32_t> onlyPattern) {
     const LightRays* alike = nullptr;
     for (const Face& other : faces_) {
         for (const std::optional<LightRays>* rays :
@@ -216,10 +220,11 @@ void BundleQuery::addRays(Face& face, bool normals,
         }
     }
     (normals ? face.withNormals : face.without)
-        .emplace(
-            face.projection, map_.info().width, map_.info().height, face.depths, light_,
-            settingOf(map_, light_, options_, face.near, face.nearMost, normals, onlyKey),
-            alike);
+        .emplace(face.projection, map_.info().width, map_.info().height, face.depths,
+                 light_,
+                 settingOf(map_, light_, options_, face.near, face.nearMost, normals,
+                           onlyPattern),
+                 alike);
 }
 
 /// One bit for each face: may rays from the point to the light meet something there?
@@ -305,12 +310,18 @@ void BundleQuery::findPlaces(const glm::dvec3* points, int count,
     }
 }
 
-std::uint32_t BundleQuery::keyOf(const Receiver& receiver) const noexcept {
+std::uint32_t BundleQuery::keyOf(glm::dvec3 point) const noexcept {
     std::uint64_t key = options_.seed + 1;
     for (int i = 0; i < 3; ++i)
-        key = (key ^ std::bit_cast<std::uint64_t>(receiver.point[i] + 0.0)) *
-              0x9e3779b97f4a7c15u;
+        key = (key ^ std::bit_cast<std::uint64_t>(point[i] + 0.0)) * 0x9e3779b97f4a7c15u;
     return std::uint32_t(base::mix(key) >> 16);
+}
+
+std::uint32_t BundleQuery::patternOf(std::size_t i, glm::dvec3 point) const noexcept {
+    const auto count = std::uint32_t(options_.pointsPerPixel);
+    if (count <= 1) return keyOf(point) % patterns_;
+    const PixelShare share(options_, i);
+    return std::uint32_t(share.key % (patterns_ / count)) * count + share.part;
 }
 
 ReceiverLanes BundleQuery::lanesOf(const Face& face, const Receiver* receivers,
@@ -358,7 +369,8 @@ void BundleQuery::setLane(const Face& face, const Receiver& receiver, int lane,
     lanes.mediaStart[lane] =
         media_ ? float(mediaStart_ * face.projection.pixelFootprint(depth))
                : lanes.surfaceStart[lane];
-    lanes.key[lane] = keyOf(receiver);
+    lanes.key[lane] = keyOf(receiver.point);
+    lanes.pattern[lane] = receiver.pattern;
 }
 
 trace::DensityTraceOptions BundleQuery::densityOptions() const noexcept {

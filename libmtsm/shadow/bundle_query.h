@@ -35,11 +35,11 @@ class BundleQuery {
     [[nodiscard]] static bool serves(const ShadowMap& map, const AreaLight& light,
                                      const ShadowOptions& options);
 
-    /// `only`: nothing else will be asked for.
+    /// `only`: nothing else will be asked for; its number in the batch.
     /// `errors`: answers come with their expected error.
     BundleQuery(const ShadowMap& map, const AreaLight& light,
-                const ShadowOptions& options, bool errors,
-                const Receiver* only = nullptr);
+                const ShadowOptions& options, bool errors, const Receiver* only = nullptr,
+                std::size_t onlyNumber = 0);
 
     /// Of 1 to ReceiverPlaces::kAtOnce points numbers as ReceiverPlaces has them.
     void findPlaces(const glm::dvec3* points, int count,
@@ -52,6 +52,9 @@ class BundleQuery {
     [[nodiscard]] std::uint32_t faceOf(glm::dvec3 point) const noexcept {
         return faces_.size() > 1 ? trace::faceOf(map_, point) : 0u;
     }
+
+    /// Receiver::pattern of point i of the batch.
+    [[nodiscard]] std::uint32_t patternOf(std::size_t i, glm::dvec3 point) const noexcept;
 
     /// What can be told of receivers without their rays.
     enum class Glance : std::uint8_t { unknown, lit, dark };
@@ -124,8 +127,8 @@ class BundleQuery {
     void findLit(const Face& face, Outlook* outlooks, int count,
                  Glance* told) const noexcept;
     [[nodiscard]] bool isFree(const Face& face, const Outlook& starts) const noexcept;
-    void addRays(Face& face, bool normals, std::optional<std::uint32_t> onlyKey);
-    [[nodiscard]] std::uint32_t keyOf(const Receiver& receiver) const noexcept;
+    void addRays(Face& face, bool normals, std::optional<std::uint32_t> onlyPattern);
+    [[nodiscard]] std::uint32_t keyOf(glm::dvec3 point) const noexcept;
     [[nodiscard]] std::uint32_t facesMet(std::uint32_t home,
                                          glm::dvec3 point) const noexcept;
     [[nodiscard]] ReceiverLanes lanesOf(const Face& face, const Receiver* receivers,
@@ -155,6 +158,7 @@ class BundleQuery {
     double mediaStart_;
     std::uint32_t samples_;
     SampleSteps steps_;
+    std::uint32_t patterns_;
     bool errors_;     // do they matter?
     bool fixedAxes_;  // are the light's axes the same for all points?
     double capHeight_;

@@ -20,6 +20,7 @@ struct Receiver {
     glm::dvec3 point{0.0};
     /// Any length; zero: none, for all of a call or none.
     glm::dvec3 normal{0.0};
+    std::uint32_t pattern = 0;  ///< of LightRays', for its rays
 };
 
 /// Up to 16 receivers. One bit each: all of the light is surely above its horizon, or

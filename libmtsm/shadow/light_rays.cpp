@@ -5,6 +5,7 @@
 #include <cstring>
 
 #include "base/sampling.h"
+#include "shadow/pixel_share.h"
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "shadow/light_rays.cpp"
@@ -319,15 +320,43 @@ class Starts {
     Vec capHeight_;
 };
 
-/// The rays of one receiver.
+/// The receivers that the lanes of a vector belong to: all to one; or, if each has a few
+/// rays, lane after lane, to as many as there is room for.
+class Owners {
+  public:
+    explicit Owners(int receiver) : first_(receiver) {}
+    Owners(int lane, int each)
+        : first_(lane / each / kN * kN), single_(false), index_(indices(lane, each)) {}
+
+    [[nodiscard]] Vec operator()(const float* p) const {
+        if (single_) return constant(p[first_]);
+        return hn::TableLookupLanes(hn::Load(kF, p + first_), index_);
+    }
+
+  private:
+    using Index =
+        decltype(hn::IndicesFromVec(kF, hn::Zero(trace::HWY_NAMESPACE::Ints())));
+    [[nodiscard]] Index indices(int lane, int each) const {
+        alignas(64) std::int32_t index[kN];
+        for (int i = 0; i < kN; ++i)
+            index[i] = (lane + i) / each - first_;
+        return hn::IndicesFromVec(kF, hn::Load(lanes::Ints(), index));
+    }
+
+    int first_;
+    bool single_ = true;
+    Index index_;
+};
+
+/// Rays of some receivers.
 class Rays {
   public:
-    Rays(const FillInput& in, int receiver, trace::RayBundle& bundle, RayFates& fates)
-        : in_(in), view_(in.view), receiver_(receiver), bundle_(bundle), fates_(fates) {
+    Rays(const FillInput& in, const Owners& owners, trace::RayBundle& bundle,
+         RayFates& fates)
+        : in_(in), view_(in.view), bundle_(bundle), fates_(fates) {
         const ReceiverLanes& at = in.at;
-        const auto set = [receiver](const float* x, const float* y, const float* z) {
-            return Vec3{constant(x[receiver]), constant(y[receiver]),
-                        constant(z[receiver])};
+        const auto set = [&](const float* x, const float* y, const float* z) {
+            return Vec3{owners(x), owners(y), owners(z)};
         };
         position_ = set(at.x, at.y, at.z);
         base_ = set(at.baseX, at.baseY, at.baseZ);
@@ -337,35 +366,27 @@ class Rays {
         normal_ = set(at.normalX, at.normalY, at.normalZ);
         start_ = set(bundle.u, bundle.v, bundle.w);
         plane_ = set(bundle.planeU, bundle.planeV, bundle.planeW);
-        capHeight_ = constant(at.capHeight[receiver]);
+        capHeight_ = owners(at.capHeight);
+        surfaceStart_ = owners(at.surfaceStart);
+        mediaStart_ = owners(at.mediaStart);
+        nearDepth_ = owners(bundle.rise);
     }
 
-    void group(int group) {
-        const LightRays::Points& points = in_.points;
-        const std::uint32_t key = in_.at.key[receiver_];
-        const std::size_t first = std::size_t(key % points.patterns) * points.each +
-                                  std::size_t(in_.firstGroup + group) * kLanes;
-        const int row = bundle_.row(receiver_, group);
+    /// Those to points number first and on, of Points, to a row of the bundle.
+    void row(int row, std::size_t first) {
         bundle_.open[row] = fates_.clear[row] = 0;
         for (int i = 0; i < kLanes; i += kN) {
-            const Pair point{hn::LoadU(kF, &points.a[first + std::size_t(i)]),
-                             hn::LoadU(kF, &points.b[first + std::size_t(i)])};
-            Vec3 radial;
-            const Vec3 delta = towards(point, radial);
-            ray(row, i, delta);
-            if (in_.weights) weigh(row, i, delta, radial);
+            part(row, i,
+                 {hn::LoadU(kF, &in_.points.a[first + std::size_t(i)]),
+                  hn::LoadU(kF, &in_.points.b[first + std::size_t(i)])});
         }
-        const int left = in_.samples - (in_.firstGroup + group) * kLanes;
-        if (left < kLanes) {
-            bundle_.open[row] &= std::uint16_t((1u << left) - 1);
-            fates_.clear[row] &= std::uint16_t((1u << left) - 1);
-        }
-        // Points that follow each other lie close together: thresholds that differ most,
-        // which are the bits of 0 to 15 in reverse.
-        const std::uint64_t turn = (key >> 28) * 0x0101010101010101u;
-        const std::uint64_t far[2] = {0x0e060a020c040800u ^ turn,
-                                      0x0f070b030d050901u ^ turn};
-        std::memcpy(bundle_.threshold[row], far, sizeof far);
+    }
+    /// Those of a vector, from lane i of a row on.
+    void part(int row, int i, const Pair& point) {
+        Vec3 radial;
+        const Vec3 delta = towards(point, radial);
+        ray(row, i, delta);
+        if (in_.weights) weigh(row, i, delta, radial);
     }
 
   private:
@@ -400,8 +421,10 @@ class Rays {
             until(hn::Sub(constant(view_.farthest), z), hn::Neg(delta.z));
         Vec3 last = along(position_, end, delta);
         Vec3 to = project(view_, last);
-        if (!hn::AllTrue(kF, inWindow(to))) {
+        if (const MaskF inside = inWindow(to); !hn::AllTrue(kF, inside)) {
+            const Vec whole = end;
             sides(delta, until);
+            end = hn::IfThenElse(inside, whole, end);
             last = along(position_, end, delta);
             to = project(view_, last);
         }
@@ -434,7 +457,7 @@ class Rays {
                 // are larger, and the bias with them.
                 const auto texel =
                     float(view_.near ? 1u << trace::kFinestBesideNear : 1u);
-                Vec depth = constant(0.4f * texel * in_.at.surfaceStart[receiver_]);
+                Vec depth = hn::Mul(constant(0.4f * texel), surfaceStart_);
                 if (view_.perspective)
                     depth = hn::Mul(depth, hn::Mul(start_.z, start_.z));
                 surfaces =
@@ -443,13 +466,11 @@ class Rays {
             }
             nearBegin = hn::Mul(constant(view_.nearHeight), per);
         } else {
-            const Vec start = constant(in_.at.surfaceStart[receiver_]);
+            const Vec start = surfaceStart_;
             begin = surfaces = fromStart(delta, end, last.z, start);
             nearBegin =
                 fromStart(delta, end, last.z, hn::Mul(start, constant(view_.nearStart)));
-            if (in_.media)
-                begin =
-                    fromStart(delta, end, last.z, constant(in_.at.mediaStart[receiver_]));
+            if (in_.media) begin = fromStart(delta, end, last.z, mediaStart_);
         }
         const Vec least = constant(0x1p-40f);
         if (view_.near) {
@@ -508,7 +529,7 @@ class Rays {
 
     /// s at which the ray leaves the depths that the near field answers for.
     Vec endOfNear(Vec rise) const {
-        const Vec depth = constant(bundle_.rise[receiver_]);
+        const Vec depth = nearDepth_;
         const Vec dw = hn::Abs(rise);
         return hn::IfThenElse(hn::Gt(dw, depth), hn::Mul(depth, reciprocal(dw)),
                               constant(1.0f));
@@ -545,12 +566,78 @@ class Rays {
 
     const FillInput& in_;
     const LightRays::View& view_;
-    int receiver_;
     trace::RayBundle& bundle_;
     RayFates& fates_;
     Vec3 position_, base_, axisX_, axisY_, axisZ_, normal_, start_, plane_;
-    Vec capHeight_;
+    Vec capHeight_, surfaceStart_, mediaStart_, nearDepth_;
 };
+
+/// Thresholds of a row. Points that follow each other lie close together: those that
+/// differ most, which are the bits of 0 to 15 in reverse.
+void setThresholds(std::uint32_t key, std::uint8_t* thresholds) {
+    const std::uint64_t turn = (key >> 28) * 0x0101010101010101u;
+    const std::uint64_t far[2] = {0x0e060a020c040800u ^ turn, 0x0f070b030d050901u ^ turn};
+    std::memcpy(thresholds, far, sizeof far);
+}
+
+/// A few rays each: those of several receivers in a vector, in rows that are free, and
+/// then to the rows that they belong to.
+void fillFew(const FillInput& in, int each, trace::RayBundle& bundle, RayFates& fates) {
+    constexpr int kFirst = trace::kMostReceivers;
+    const LightRays::Points& points = in.points;
+    const auto firstOf = [&](int receiver) {
+        return std::size_t(points.onlyOne ? 0u : in.at.pattern[receiver]) * points.each +
+               std::size_t(in.firstGroup) * kLanes;
+    };
+    const int count = in.at.count * each;
+    for (int row = kFirst; row < kFirst + (count + kLanes - 1) / kLanes; ++row)
+        bundle.open[row] = fates.clear[row] = 0;
+    for (int lane = 0; lane < count; lane += kN) {
+        alignas(64) float a[kN], b[kN];
+        for (int i = 0; i < kN; ++i) {
+            const int receiver = std::min((lane + i) / each, in.at.count - 1);
+            const std::size_t at = firstOf(receiver) + std::size_t((lane + i) % each);
+            a[i] = points.a[at], b[i] = points.b[at];
+        }
+        Rays(in, Owners(lane, each), bundle, fates)
+            .part(kFirst + lane / kLanes, lane % kLanes,
+                  {hn::Load(kF, a), hn::Load(kF, b)});
+    }
+    const std::uint32_t there = (1u << in.samples) - 1;
+    for (int receiver = 0; receiver < in.at.count; ++receiver) {
+        const int from = kFirst + receiver * each / kLanes;
+        const int first = receiver * each % kLanes;
+        const auto copy = [&](auto* field) {
+            std::copy_n(field[from] + first, each, field[receiver]);
+        };
+        copy(bundle.du), copy(bundle.dv), copy(bundle.dw), copy(bundle.begin);
+        if (in.media) copy(bundle.beginSurfaces);
+        if (in.view.near) copy(fates.nearEnd), copy(fates.layersBegin);
+        if (in.weights) copy(fates.weight);
+        for (int axis = 0; in.ways && axis < 3; ++axis)
+            copy(fates.delta[axis]);
+        if (in.ways) copy(fates.way);
+        bundle.open[receiver] = std::uint16_t(bundle.open[from] >> first & there);
+        fates.clear[receiver] = std::uint16_t(fates.clear[from] >> first & there);
+    }
+}
+
+/// All the rays of each receiver in turn.
+void fillMany(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
+    for (int receiver = 0; receiver < in.at.count; ++receiver) {
+        Rays rays(in, Owners(receiver), bundle, fates);
+        const std::uint32_t pattern = in.points.onlyOne ? 0u : in.at.pattern[receiver];
+        for (int group = 0; group < in.groups; ++group) {
+            const int number = in.firstGroup + group, row = bundle.row(receiver, group);
+            rays.row(row, std::size_t(pattern) * in.points.each +
+                              std::size_t(number) * kLanes);
+            const int left = in.samples - number * kLanes;
+            if (left >= kLanes) continue;
+            bundle.open[row] &= std::uint16_t((1u << left) - 1);
+            fates.clear[row] &= std::uint16_t((1u << left) - 1);
+        }
+    }
+}
 
 void fill(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
     bundle.receivers = in.at.count;
@@ -560,10 +647,15 @@ void fill(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
     bundle.wide = 0;
     for (int first = 0; first < trace::kMostReceivers; first += kN)
         Starts(in, first, bundle);
+    const int few = in.samples > 2 ? 4 : in.samples;
+    if (in.samples <= few && in.at.count > 1)
+        fillFew(in, few, bundle, fates);
+    else
+        fillMany(in, bundle, fates);
     for (int receiver = 0; receiver < in.at.count; ++receiver) {
-        Rays rays(in, receiver, bundle, fates);
         for (int group = 0; group < in.groups; ++group)
-            rays.group(group);
+            setThresholds(in.at.key[receiver],
+                          bundle.threshold[bundle.row(receiver, group)]);
     }
 }
 
@@ -577,17 +669,21 @@ HWY_EXPORT(fill);
 
 namespace {
 
-/// Sequences that receivers choose from.
-constexpr std::uint32_t kPatterns = 32;
+/// Patterns that receivers choose from, at least; and pixels.
+constexpr std::uint32_t kPatterns = 32, kPixelPatterns = 4;
+/// Points of all patterns, if those of a pixel are no more.
+constexpr std::uint32_t kMostPoints = 1u << 20;
 
-/// The first points of a sequence, in each step neighbours close to each other.
+/// Points of a sequence, in each step neighbours close to each other.
 std::vector<glm::dvec2> pattern(std::uint32_t number, std::uint32_t seed,
                                 const SampleSteps& steps) {
-    const base::SquareSequence sequence(base::mix(std::uint64_t(seed) << 32 | number));
+    const SequencePart part(number, steps.end[steps.count - 1]);
+    const base::SquareSequence sequence(
+        base::mix(std::uint64_t(seed) << 32 | part.sequence));
     std::vector<std::pair<std::uint32_t, glm::dvec2>> order;
     for (int step = 0; step < steps.count; ++step) {
         for (std::uint32_t i = steps.first(step); i < steps.end[step]; ++i) {
-            const glm::dvec2 u = sequence(i);
+            const glm::dvec2 u = sequence(part.first + i);
             order.emplace_back(placeOfSample(u), u);
         }
         std::sort(order.begin() + steps.first(step), order.end(),
@@ -602,12 +698,15 @@ std::vector<glm::dvec2> pattern(std::uint32_t number, std::uint32_t seed,
 LightRays::Points makePoints(const LightRays::Setting& setting,
                              light::LightView::Domain domain) {
     LightRays::Points points;
-    points.patterns = setting.onlyKey ? 1 : kPatterns;
+    points.onlyOne = setting.onlyPattern.has_value();
+    const std::uint32_t patterns =
+        points.onlyOne ? 1u
+                       : LightRays::patterns(setting.samples, setting.pointsPerPixel);
     points.each = (setting.samples + trace::kLanes - 1) / trace::kLanes * trace::kLanes;
     const LightRays::Piece none{HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF};
     points.groups.assign(points.each / trace::kLanes, none);
-    for (std::uint32_t p = 0; p < points.patterns; ++p) {
-        const std::uint32_t number = setting.onlyKey ? *setting.onlyKey % kPatterns : p;
+    for (std::uint32_t p = 0; p < patterns; ++p) {
+        const std::uint32_t number = setting.onlyPattern.value_or(p);
         for (const glm::dvec2 sample : pattern(number, setting.seed, setting.steps)) {
             const glm::dvec2 u = setting.isPoint ? glm::dvec2(0.5) : sample;
             const glm::dvec2 at = domain == light::LightView::Domain::square
@@ -670,6 +769,14 @@ double LightRays::nearestOf(const Projection& p, ZRange depths) noexcept {
     const double nearest = depths.min - footprintsAt(p, depths.min);
     return p.kind == ProjectionKind::perspective ? std::max(nearest, 0.5 * depths.min)
                                                  : nearest;
+}
+
+std::uint32_t LightRays::patterns(std::uint32_t samples,
+                                  std::uint32_t pointsPerPixel) noexcept {
+    if (pointsPerPixel <= 1) return kPatterns;
+    const std::uint32_t most = kMostPoints / (samples * pointsPerPixel);
+    const std::uint32_t pixels = std::max(kPixelPatterns, kPatterns / pointsPerPixel);
+    return std::clamp(most, 1u, pixels) * pointsPerPixel;
 }
 
 void LightRays::fill(const ReceiverLanes& receivers, int first, int groups,

@@ -1,9 +1,11 @@
 // light_rays.h - the rays of up to 16 receivers to a light, as a bundle.
 //
-// A receiver takes the first N points of one of a few scrambled (0, 2)-sequences
-// (base/sampling.h); a hash of its place says which. So what it sees of the light does
-// not depend on its neighbours. The points are in an order in which sixteen that follow
-// each other lie close together: those are the groups of the bundle.
+// A receiver takes N points that follow each other in a scrambled (0, 2)-sequence
+// (base/sampling.h), one of a few such patterns: a hash of its place says which, or its
+// pixel does (shadow/pixel_share.h). So what it sees of the light does not depend on its
+// neighbours. All patterns together are well spread, too, so that large areas of
+// penumbra are right in the mean. The points of a pattern are in an order in which
+// sixteen that follow each other lie close together: those are the groups of the bundle.
 #pragma once
 #include <cstdint>
 #include <glm/vec3.hpp>
@@ -32,6 +34,7 @@ struct ReceiverLanes {
     // Without normals: how far from it surfaces begin to count, and media; world units.
     alignas(64) Lanes surfaceStart, mediaStart;
     std::uint32_t key[trace::kMostReceivers];
+    std::uint32_t pattern[trace::kMostReceivers];  // below LightRays::patterns()
 };
 
 /// What becomes of the rays of a bundle.
@@ -60,7 +63,8 @@ class LightRays {
     /// `nearStart`. `nearWidth`: if above 0, it answers for as much less, down to
     /// `nearLeast`, as the light, seen from there through the receiver, is as many pixels
     /// wide; and of rays without bounds (RayBundle::wide) for that in an opaque map, for
-    /// nothing in others. `onlyKey`: all receivers have this key.
+    /// nothing in others. `pointsPerPixel`: ShadowOptions'. `onlyPattern`: all receivers
+    /// have this one.
     struct Setting {
         std::uint32_t samples = 1;
         std::uint32_t seed = 0;
@@ -77,7 +81,8 @@ class LightRays {
         double height = 0.0;
         double nearDepth = 0.0, nearHeight = 0.0, nearStart = 1.0;
         double nearWidth = 0.0, nearLeast = 0.0;
-        std::optional<std::uint32_t> onlyKey;
+        std::uint32_t pointsPerPixel = 1;
+        std::optional<std::uint32_t> onlyPattern;
     };
     /// `depths`: of all that there is to meet, biases included. `alike`: rays of the same
     /// light and setting, but for the face and normals; their points are shared.
@@ -90,6 +95,10 @@ class LightRays {
     [[nodiscard]] static double nearestOf(const Projection& projection,
                                           ZRange depths) noexcept;
 
+    /// How many there are for points that have so many samples: a multiple of
+    /// pointsPerPixel, the patterns of a pixel following each other.
+    [[nodiscard]] static std::uint32_t patterns(std::uint32_t samples,
+                                                std::uint32_t pointsPerPixel) noexcept;
     /// Of all rays of a receiver.
     [[nodiscard]] int groups() const noexcept { return groups_; }
     /// The rays of `groups` groups, all of one step, from number `first` on. Those below
@@ -104,7 +113,8 @@ class LightRays {
     /// Points on the light, all sequences, [pattern][16 groups]: of LightView's square or
     /// disk; and the pieces in which those of a group lie, whatever the sequence.
     struct Points {
-        std::uint32_t patterns = 1, each = 0;
+        bool onlyOne = false;  ///< whatever a receiver's number says
+        std::uint32_t each = 0;
         std::vector<float> a, b;
         std::vector<Piece> groups;
     };

@@ -6,6 +6,7 @@
 #include <glm/geometric.hpp>
 
 #include "base/finite.h"
+#include "shadow/pixel_share.h"
 #include "shadow/query.h"
 #include "shadow/sample_error.h"
 
@@ -54,7 +55,7 @@ Query::Query(const ShadowMap& map, const AreaLight& light, const ShadowOptions& 
     rays_.emplace(map, rays);
 }
 
-Answer Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
+Answer Query::shadowFactor(std::size_t i, glm::dvec3 point, glm::dvec3 normal,
                            QueryStats& stats) const noexcept {
     if (!isShadowed(point)) {
         ++stats.points;
@@ -62,8 +63,12 @@ Answer Query::shadowFactor(glm::dvec3 point, glm::dvec3 normal,
         return {};
     }
     count(point, stats);
-    return blocked(receiverAt(point, normal), base::pointKey(point, options_.seed),
-                   stats);
+    const Receiver receiver = receiverAt(point, normal);
+    if (options_.pointsPerPixel <= 1)
+        return blocked(receiver, base::pointKey(point, options_.seed), 0, stats);
+    const PixelShare share(options_, i);
+    const SequencePart part(share.part, steps_.end[steps_.count - 1]);
+    return blocked(receiver, base::mix(share.key + part.sequence), part.first, stats);
 }
 
 void Query::count(glm::dvec3 point, QueryStats& stats) const noexcept {
@@ -95,7 +100,7 @@ Query::Receiver Query::receiverAt(glm::dvec3 point, glm::dvec3 normal) const noe
 
 /// One minus the weighted mean of the visibility over the light.
 Answer Query::blocked(const Receiver& receiver, std::uint64_t key,
-                      QueryStats& stats) const noexcept {
+                      std::uint32_t firstSample, QueryStats& stats) const noexcept {
     const base::SquareSequence sequence(key);
     const bool cosine = options_.weight == Weight::cosine && receiver.hasNormal;
     SeenSample seen[kMaxSamples];  // if errors matter
@@ -105,7 +110,8 @@ Answer Query::blocked(const Receiver& receiver, std::uint64_t key,
     float error = 0.0f;
     for (int step = 0; step < steps_.count; ++step) {
         for (std::uint32_t i = steps_.first(step); i < steps_.end[step]; ++i) {
-            const glm::dvec2 u = light_.isPoint() ? glm::dvec2(0.5) : sequence(i);
+            const glm::dvec2 u =
+                light_.isPoint() ? glm::dvec2(0.5) : sequence(firstSample + i);
             if (errors_) seen[i] = {placeOfSample(u), 0.0f};
             const light::LightSample sample = light_.sample(receiver.point, u);
             const double towards =

@@ -56,8 +56,8 @@ class Query {
     /// Counts a point of which that is true.
     void count(glm::dvec3 point, QueryStats& stats) const noexcept;
 
-    /// Shadow factors at a point; adds to `stats`.
-    [[nodiscard]] Answer shadowFactor(glm::dvec3 point, glm::dvec3 normal,
+    /// Shadow factors at a point, number i of its batch; adds to `stats`.
+    [[nodiscard]] Answer shadowFactor(std::size_t i, glm::dvec3 point, glm::dvec3 normal,
                                       QueryStats& stats) const noexcept;
 
   private:
@@ -77,6 +77,7 @@ class Query {
     };
     [[nodiscard]] Receiver receiverAt(glm::dvec3 point, glm::dvec3 normal) const noexcept;
     [[nodiscard]] Answer blocked(const Receiver& receiver, std::uint64_t key,
+                                 std::uint32_t firstSample,
                                  QueryStats& stats) const noexcept;
     /// By the place of its sample.
     struct SeenSample {

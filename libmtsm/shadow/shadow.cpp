@@ -44,17 +44,19 @@ struct Batch {
     const glm::dvec3* points;
     const glm::dvec3* normals;  ///< null: there are none
     std::size_t count;
+    std::size_t first;  ///< the first point's number among the caller's
     const ShadowOptions& options;
     bool errors;
 
     [[nodiscard]] glm::dvec3 normal(std::size_t i) const {
         return normals ? normals[i] : glm::dvec3(0.0);
     }
-    [[nodiscard]] Batch part(std::size_t first, std::size_t size) const {
+    [[nodiscard]] Batch part(std::size_t from, std::size_t size) const {
         Batch b = *this;
-        b.points += first;
-        if (normals) b.normals += first;
+        b.points += from;
+        if (normals) b.normals += from;
         b.count = size;
+        b.first += from;
         return b;
     }
 };
@@ -67,7 +69,8 @@ void answerEach(const shadow::Query& query, const Batch& batch, QueryStats& stat
     const auto answer = [&](std::size_t begin, std::size_t end) {
         QueryStats part;
         for (std::size_t i = begin; i < end; ++i)
-            take(i, query.shadowFactor(batch.points[i], batch.normal(i), part));
+            take(i, query.shadowFactor(batch.first + i, batch.points[i], batch.normal(i),
+                                       part));
         const std::lock_guard lock(mutex);
         add(stats, part);
     };
@@ -169,8 +172,9 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
             first += block.count;
             if (!block.bundled) {
                 for (std::size_t k = 0; k < block.count; ++k)
-                    take(indices[k], query.shadowFactor(receivers[k].point,
-                                                        receivers[k].normal, part));
+                    take(indices[k],
+                         query.shadowFactor(batch.first + indices[k], receivers[k].point,
+                                            receivers[k].normal, part));
                 continue;
             }
             for (std::size_t k = 0; k < block.count; ++k)
@@ -184,6 +188,8 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
                     continue;
                 }
                 receivers[left] = receivers[k];
+                receivers[left].pattern =
+                    bundles.patternOf(batch.first + indices[k], receivers[k].point);
                 indices[left++] = indices[k];
             }
             for (std::size_t k = 0; k < left; k += trace::kMostReceivers)
@@ -204,7 +210,7 @@ void answerBundles(const shadow::Query& query, const Batch& batch, QueryStats& s
     // What a point that is not finite is asked with does not matter.
     const shadow::Receiver only{batch.points[0], shadow::unitNormal(batch.normal(0))};
     const shadow::BundleQuery bundles(batch.map, batch.light, batch.options, batch.errors,
-                                      batch.count == 1 ? &only : nullptr);
+                                      batch.count == 1 ? &only : nullptr, batch.first);
     // Orders count in 32 bits.
     constexpr std::size_t kAtOnce = std::size_t(1) << 30;
     for (std::size_t first = 0; first < batch.count; first += kAtOnce) {
@@ -232,7 +238,8 @@ void answerInTurn(const shadow::Query& query, const Batch& batch, QueryStats& st
             }
         } catch (const std::bad_alloc&) {  // by ray, then
         }
-        take(i, query.shadowFactor(batch.points[i], batch.normal(i), stats));
+        take(i, query.shadowFactor(batch.first + i, batch.points[i], batch.normal(i),
+                                   stats));
     }
 }
 
@@ -250,8 +257,9 @@ void answerAll(const ShadowMap& map, const AreaLight& light, const glm::dvec3* p
                const glm::dvec3* normals, std::size_t count, const ShadowOptions& asked,
                QueryStats* stats, bool errors, const Take& take) noexcept {
     if (count == 0) return;
-    const ShadowOptions options = served(map, asked);
-    const Batch batch{map, light, points, normals, count, options, errors};
+    ShadowOptions options = served(map, asked);
+    options.pointsPerPixel = std::clamp(options.pointsPerPixel, 1, kMaxPointsPerPixel);
+    const Batch batch{map, light, points, normals, count, 0, options, errors};
     const shadow::Query query(map, light, options, errors);
     QueryStats met;
     try {
@@ -356,6 +364,9 @@ Status checkQuery(const ShadowMap& map, const AreaLight& light,
     if (options.samples < 1 || options.samples > kMaxSamples)
         return makeError(ErrorCode::badArgument, options.samples,
                          " samples: must be 1 to ", kMaxSamples);
+    if (options.pointsPerPixel < 1 || options.pointsPerPixel > kMaxPointsPerPixel)
+        return makeError(ErrorCode::badArgument, options.pointsPerPixel,
+                         " points per pixel: must be 1 to ", kMaxPointsPerPixel);
     if (!std::isfinite(options.bias))
         return makeError(ErrorCode::badArgument, "bias ", options.bias, " is not finite");
     if (!(options.threshold >= 0.0f && options.threshold < 1.0f))

@@ -189,6 +189,8 @@ class Walk {
     [[nodiscard]] HWY_INLINE Mask risesAbove(int lane, const Triangles& triangles,
                                              std::size_t t) const;
     void cross(int lane, const SeenTriangles& seen, int t, const Box& box);
+    void crossEach(int lane, const SeenTriangles& seen, const Triangles& triangles,
+                   std::uint32_t found);
 
     const NearField& field_;
     RayBundle& rays_;
@@ -367,6 +369,10 @@ void Walk::chunk(std::size_t index, std::uint32_t lanes) {
         float start[3];
         startOf(lane, start);
         const SeenTriangles seen(triangles, start);
+        if (rays_.groups == 1 && std::popcount(rays_.open[lane]) < std::popcount(found)) {
+            crossEach(lane, seen, triangles, found);
+            continue;
+        }
         for (; found && (lanesLeft_ >> lane & 1); found &= found - 1) {
             const int t = std::countr_zero(found);
             cross(lane, seen, t, boxAround(triangles, t));
@@ -467,6 +473,24 @@ Mask Walk::overlaps(int receiver, int row, int k, const Box& box) const {
     return overlap;
 }
 
+/// Rays that cross triangles between two places on them; of one of the two there is one.
+HWY_INLINE Mask meets(const Vec3& delta, Vec begin, Vec end, const Vec3& side0,
+                      const Vec3& side1, const Vec3& side2, const Vec3& terms,
+                      const Vec3& normal, Vec distance) {
+    const Floats d;
+    const Vec e0 = dot(delta, side0), e1 = dot(delta, side1), e2 = dot(delta, side2);
+    const Vec zero = hn::Mul(dot(abs(delta), terms), hn::Set(d, kRounding));
+    const Mask through = hn::Or(hn::Ge(hn::Min(hn::Min(e0, e1), e2), hn::Neg(zero)),
+                                hn::Le(hn::Max(hn::Max(e0, e1), e2), zero));
+    // It is met at s = distance / speed.
+    const Vec speed = dot(delta, normal);
+    const Vec towards = hn::Xor(distance, hn::And(speed, hn::Set(d, -0.0f)));
+    const Vec rate = hn::Abs(speed);
+    const Mask behind = hn::Gt(towards, hn::Mul(rate, begin));
+    const Mask before = hn::Le(towards, hn::Mul(rate, end));
+    return hn::And(through, hn::And(behind, before));
+}
+
 /// Closes the receiver's rays that cross a triangle.
 void Walk::cross(int lane, const SeenTriangles& seen, int t, const Box& box) {
     const Floats d;
@@ -486,21 +510,9 @@ void Walk::cross(int lane, const SeenTriangles& seen, int t, const Box& box) {
             const Vec3 delta = {hn::Load(d, rays_.du[row] + k),
                                 hn::Load(d, rays_.dv[row] + k),
                                 hn::Load(d, rays_.dw[row] + k)};
-            const Vec e0 = dot(delta, side[0]), e1 = dot(delta, side[1]),
-                      e2 = dot(delta, side[2]);
-            const Vec zero = hn::Mul(dot(abs(delta), terms), hn::Set(d, kRounding));
-            const Mask through =
-                hn::Or(hn::Ge(hn::Min(hn::Min(e0, e1), e2), hn::Neg(zero)),
-                       hn::Le(hn::Max(hn::Max(e0, e1), e2), zero));
-            // It is met at s = distance / speed.
-            const Vec speed = dot(delta, n);
-            const Vec towards = hn::Xor(distance, hn::And(speed, hn::Set(d, -0.0f)));
-            const Vec rate = hn::Abs(speed);
-            const Mask behind =
-                hn::Gt(towards, hn::Mul(rate, hn::Load(d, rays_.begin[row] + k)));
-            const Mask before =
-                hn::Le(towards, hn::Mul(rate, hn::Load(d, end_[row] + k)));
-            const Mask met = hn::And(through, hn::And(behind, before));
+            const Mask met = meets(delta, hn::Load(d, rays_.begin[row] + k),
+                                   hn::Load(d, end_[row] + k), side[0], side[1], side[2],
+                                   terms, n, distance);
             if (!(open & bitsOf(met))) continue;
             const std::uint32_t hits =
                 open & bitsOf(hn::And(met, overlaps(lane, row, k, box)));
@@ -509,6 +521,41 @@ void Walk::cross(int lane, const SeenTriangles& seen, int t, const Box& box) {
         }
     }
     if (closed && !anyOpen(lane)) lanesLeft_ = std::uint16_t(lanesLeft_ & ~(1u << lane));
+}
+
+/// The same ray by ray, each against all the triangles at once: of few rays.
+void Walk::crossEach(int lane, const SeenTriangles& seen, const Triangles& triangles,
+                     std::uint32_t found) {
+    const Floats d;
+    for (std::uint32_t open = rays_.open[lane]; open; open &= open - 1) {
+        const int i = std::countr_zero(open);
+        const Box box = boxOf(lane, lane, i);
+        const Vec3 delta = {hn::Set(d, rays_.du[lane][i]), hn::Set(d, rays_.dv[lane][i]),
+                            hn::Set(d, rays_.dw[lane][i])};
+        const Vec begin = hn::Set(d, rays_.begin[lane][i]);
+        const Vec end = hn::Set(d, end_[lane][i]);
+        for (int t = 0; t < kTriangles; t += int(hn::Lanes(d))) {
+            const std::uint32_t some = (found >> t) & kAll;
+            if (some == 0) continue;
+            const auto at = [&](const float(&p)[3][kTriangles]) {
+                return Vec3{hn::Load(d, p[0] + t), hn::Load(d, p[1] + t),
+                            hn::Load(d, p[2] + t)};
+            };
+            Mask met = meets(delta, begin, end, at(seen.side[0]), at(seen.side[1]),
+                             at(seen.side[2]), at(seen.terms), at(seen.normal),
+                             hn::Load(d, seen.distance + t));
+            for (int axis = 0; axis < 3; ++axis) {
+                met = hn::And(met, hn::Le(hn::Set(d, box.low[axis]),
+                                          hn::Load(d, triangles.high[axis] + t)));
+                met = hn::And(met, hn::Ge(hn::Set(d, box.high[axis]),
+                                          hn::Load(d, triangles.low[axis] + t)));
+            }
+            if ((some & bitsOf(met)) == 0) continue;
+            rays_.open[lane] = std::uint16_t(rays_.open[lane] & ~(1u << i));
+            break;
+        }
+    }
+    if (rays_.open[lane] == 0) lanesLeft_ = std::uint16_t(lanesLeft_ & ~(1u << lane));
 }
 
 void traceNearAt(const NearField& field, RayBundle& rays, const float (*end)[kLanes],

@@ -180,9 +180,11 @@ class Traversal {
         if (lanes_ == 0) return;
         findHull();
         findLevels();
+        pack();
         enter();
         while (!queue_.empty() && lanes_ != 0)
             look();
+        unpack();
     }
 
   private:
@@ -235,6 +237,74 @@ class Traversal {
                    [&](const PatchList& tile) {
                        queue_.push({tile, lanes_});
                    });
+    }
+
+    // --- few rays each
+    // ---------------------------------------------------------------------
+
+    /// Receivers of up to four rays each share vectors: those of receiver r are lanes
+    /// r * each and on.
+    struct Packed {
+        static constexpr int kMostEach = 4;
+        int each = 0;  ///< 0: nothing is packed
+        std::uint64_t open = 0;
+        alignas(64) float u[kMostReceivers * kMostEach], v[kMostReceivers * kMostEach];
+        alignas(64) float w[kMostReceivers * kMostEach];
+        alignas(64) float du[kMostReceivers * kMostEach], dv[kMostReceivers * kMostEach];
+        alignas(64) float dw[kMostReceivers * kMostEach];
+        alignas(64) float begin[kMostReceivers * kMostEach];
+        std::uint8_t threshold[kMostReceivers * kMostEach];
+
+        /// Bits of all rays of some receivers.
+        [[nodiscard]] std::uint64_t raysOf(std::uint32_t lanes) const {
+            std::uint64_t x = lanes;
+            if (each == 1) return x;
+            if (each == 2) {
+                x = (x | x << 8) & 0x00ff00ffu;
+                x = (x | x << 4) & 0x0f0f0f0fu;
+                x = (x | x << 2) & 0x33333333u;
+                return ((x | x << 1) & 0x55555555u) * 3;
+            }
+            x = (x | x << 24) & 0x000000ff000000ffu;
+            x = (x | x << 12) & 0x000f000f000f000fu;
+            x = (x | x << 6) & 0x0303030303030303u;
+            return ((x | x << 3) & 0x1111111111111111u) * 15;
+        }
+        [[nodiscard]] std::uint16_t openOf(int receiver) const {
+            return std::uint16_t(open >> (receiver * each) & ((1u << each) - 1));
+        }
+    };
+
+    void pack() {
+        packed_.each = 0;
+        if (bundle_.groups != 1 || std::has_single_bit(lanes_)) return;
+        std::uint32_t any = 0;
+        for (int i = 0; i < bundle_.receivers; ++i)
+            any |= bundle_.open[i];
+        if (any >> Packed::kMostEach) return;
+        const int each = any >> 2 ? 4 : any >> 1 ? 2 : 1;
+        packed_.each = each;
+        packed_.open = 0;
+        for (int i = 0; i < kMostReceivers; ++i) {
+            const bool is = i < bundle_.receivers;
+            const int row = is ? i : 0, first = i * each;
+            if (is) packed_.open |= std::uint64_t(bundle_.open[row]) << first;
+            for (int k = 0; k < each; ++k) {
+                packed_.u[first + k] = bundle_.u[i];
+                packed_.v[first + k] = bundle_.v[i];
+                packed_.w[first + k] = bundle_.w[i];
+                packed_.du[first + k] = bundle_.du[row][k];
+                packed_.dv[first + k] = bundle_.dv[row][k];
+                packed_.dw[first + k] = bundle_.dw[row][k];
+                packed_.begin[first + k] = bundle_.begin[row][k];
+                packed_.threshold[first + k] = bundle_.threshold[row][k];
+            }
+        }
+    }
+
+    void unpack() {
+        for (int i = 0; packed_.each > 0 && i < bundle_.receivers; ++i)
+            bundle_.open[i] = packed_.openOf(i);
     }
 
     // --- patches
@@ -378,10 +448,10 @@ class Traversal {
     // --- rays
     // ------------------------------------------------------------------------------
 
-    /// As many rays of one receiver as fill a vector.
+    /// As many rays as fill a vector: of one receiver, or packed ones.
     struct Batch {
-        float u, v;  ///< the start's place in the patch: texels from the tile's corner
-        float rise;  ///< of the patch's plane above the start, there, w
+        Vec u, v;  ///< the start's place in the patch: texels from the tile's corner
+        Vec rise;  ///< of the patch's plane above the start, there, w
         Vec du, dv, dw, begin;
         std::uint32_t open;
         const std::uint8_t* threshold;
@@ -394,8 +464,18 @@ class Traversal {
         float cornerU, cornerV, perTexel;
         int column, columns, row, rows;  // texels of its box, in the tile
         std::uint32_t tile;  ///< if its texels are shared: a number of the tile
-        /// [receiver]: as Batch has them.
-        alignas(64) float u[kMostReceivers], v[kMostReceivers], rise[kMostReceivers];
+
+        /// Sets what a batch knows of the starts.
+        void place(Vec u, Vec v, Vec w, Batch& batch) const {
+            const auto set = [](float x) { return hn::Set(kF, x); };
+            batch.rise = hn::Sub(set(patch.w), w);
+            batch.rise =
+                hn::MulAdd(set(patch.gradientU), hn::Sub(u, set(patch.u)), batch.rise);
+            batch.rise =
+                hn::MulAdd(set(patch.gradientV), hn::Sub(v, set(patch.v)), batch.rise);
+            batch.u = hn::Mul(hn::Sub(u, set(cornerU)), set(perTexel));
+            batch.v = hn::Mul(hn::Sub(v, set(cornerV)), set(perTexel));
+        }
     };
 
     enum class Kind { whole, sheet, bumpy };
@@ -403,34 +483,55 @@ class Traversal {
     /// those that surely go through it; the patch's children still count for the others.
     template <Kind kKind>
     void test(const Patch& p, std::uint64_t groups, std::uint32_t lanes) {
-        Seen seen =
+        const Seen seen =
             seenBy(p, kKind == Kind::bumpy ? BumpPlane::kSide : kTexels << p.level);
+        if (packed_.each > 0)
+            testPacked<kKind>(seen, lanes);
+        else
+            testRows<kKind>(seen, groups, lanes);
+    }
+
+    template <Kind kKind>
+    std::uint32_t hitsOf(const Seen& seen, const Batch& batch) const {
+        if constexpr (kKind == Kind::sheet)
+            return through(seen, batch);
+        else if constexpr (kKind == Kind::bumpy)
+            return metBumps(seen, batch);
+        else
+            return met(seen, batch);
+    }
+
+    template <Kind kKind>
+    void testRows(const Seen& seen, std::uint64_t groups, std::uint32_t lanes) {
+        alignas(64) float us[kMostReceivers], vs[kMostReceivers], rises[kMostReceivers];
+        Batch batch;
+        for (int k = 0; k < kMostReceivers; k += kN) {
+            seen.place(hn::Load(kF, bundle_.u + k), hn::Load(kF, bundle_.v + k),
+                       hn::Load(kF, bundle_.w + k), batch);
+            hn::Store(batch.u, kF, us + k);
+            hn::Store(batch.v, kF, vs + k);
+            hn::Store(batch.rise, kF, rises + k);
+        }
         std::uint32_t closed = 0;
         for (std::uint64_t left = groups; left; left &= left - 1) {
             const int group = std::countr_zero(left);
             std::uint32_t some = lanes & lanes_;
-            if (bundle_.groups > 1) some &= lanesMet(p, group);
+            if (bundle_.groups > 1) some &= lanesMet(seen.patch, group);
             for (; some; some &= some - 1) {
                 const int receiver = std::countr_zero(some);
                 const int row = bundle_.row(receiver, group);
+                batch.u = hn::Set(kF, us[receiver]);
+                batch.v = hn::Set(kF, vs[receiver]);
+                batch.rise = hn::Set(kF, rises[receiver]);
                 for (int k = 0; k < kLanes; k += kN) {
-                    Batch batch;
                     batch.open = (std::uint32_t(bundle_.open[row]) >> k) & kAll;
                     if (batch.open == 0) continue;
-                    batch.u = seen.u[receiver], batch.v = seen.v[receiver];
-                    batch.rise = seen.rise[receiver];
                     batch.du = hn::Load(kF, bundle_.du[row] + k);
                     batch.dv = hn::Load(kF, bundle_.dv[row] + k);
                     batch.dw = hn::Load(kF, bundle_.dw[row] + k);
                     batch.begin = hn::Load(kF, bundle_.begin[row] + k);
                     batch.threshold = bundle_.threshold[row] + k;
-                    std::uint32_t hits = 0;
-                    if constexpr (kKind == Kind::sheet)
-                        hits = through(seen, batch);
-                    else if constexpr (kKind == Kind::bumpy)
-                        hits = metBumps(seen, batch);
-                    else
-                        hits = met(seen, batch);
+                    const std::uint32_t hits = hitsOf<kKind>(seen, batch);
                     bundle_.open[row] &= std::uint16_t(~(hits << k));
                     closed |= std::uint32_t(hits == batch.open) << receiver;
                 }
@@ -439,6 +540,31 @@ class Traversal {
         for (; closed; closed &= closed - 1) {
             const int receiver = std::countr_zero(closed);
             if (!anyOpen(receiver)) lanes_ &= std::uint16_t(~(1u << receiver));
+        }
+    }
+
+    template <Kind kKind>
+    void testPacked(const Seen& seen, std::uint32_t lanes) {
+        const std::uint64_t rays = packed_.open & packed_.raysOf(lanes & lanes_);
+        std::uint64_t closed = 0;
+        Batch batch;
+        for (int k = 0; k < kMostReceivers * packed_.each; k += kN) {
+            batch.open = std::uint32_t(rays >> k) & kAll;
+            if (batch.open == 0) continue;
+            seen.place(hn::Load(kF, packed_.u + k), hn::Load(kF, packed_.v + k),
+                       hn::Load(kF, packed_.w + k), batch);
+            batch.du = hn::Load(kF, packed_.du + k);
+            batch.dv = hn::Load(kF, packed_.dv + k);
+            batch.dw = hn::Load(kF, packed_.dw + k);
+            batch.begin = hn::Load(kF, packed_.begin + k);
+            batch.threshold = packed_.threshold + k;
+            closed |= std::uint64_t(hitsOf<kKind>(seen, batch)) << k;
+        }
+        if (closed == 0) return;
+        packed_.open &= ~closed;
+        for (std::uint32_t rest = lanes & lanes_; rest; rest &= rest - 1) {
+            const int receiver = std::countr_zero(rest);
+            if (packed_.openOf(receiver) == 0) lanes_ &= std::uint16_t(~(1u << receiver));
         }
     }
 
@@ -454,25 +580,10 @@ class Traversal {
                   p.columns(),
                   p.firstRow(),
                   p.rows(),
-                  0u,
-                  {},
-                  {},
-                  {}};
+                  0u};
         if (p.shared) {
             const auto x = std::uint32_t(seen.cornerU), y = std::uint32_t(seen.cornerV);
             seen.tile = (x * 0x85ebca6bu) ^ (y * 0xc2b2ae35u);
-        }
-        const auto set = [](float x) { return hn::Set(kF, x); };
-        for (int k = 0; k < kMostReceivers; k += kN) {
-            const Vec u = hn::Load(kF, bundle_.u + k), v = hn::Load(kF, bundle_.v + k);
-            Vec rise = hn::Sub(set(p.w), hn::Load(kF, bundle_.w + k));
-            rise = hn::MulAdd(set(p.gradientU), hn::Sub(u, set(p.u)), rise);
-            rise = hn::MulAdd(set(p.gradientV), hn::Sub(v, set(p.v)), rise);
-            hn::Store(rise, kF, seen.rise + k);
-            hn::Store(hn::Mul(hn::Sub(u, set(seen.cornerU)), set(seen.perTexel)), kF,
-                      seen.u + k);
-            hn::Store(hn::Mul(hn::Sub(v, set(seen.cornerV)), set(seen.perTexel)), kF,
-                      seen.v + k);
         }
         return seen;
     }
@@ -512,10 +623,11 @@ class Traversal {
     static std::uint32_t through(const Seen& p, const Batch& r) {
         const float residual = p.patch.residual, texel = 1.0f / p.perTexel;
         const Vec inverse = perApproach(p, r);
-        const Vec s0 = hn::Mul(hn::Set(kF, r.rise - residual), inverse);
-        const Vec s1 = hn::Mul(hn::Set(kF, r.rise + residual), inverse);
-        const Vec u0 = hn::Set(kF, r.u * texel + (p.cornerU - p.patch.u));
-        const Vec v0 = hn::Set(kF, r.v * texel + (p.cornerV - p.patch.v));
+        const Vec s0 = hn::Mul(hn::Sub(r.rise, hn::Set(kF, residual)), inverse);
+        const Vec s1 = hn::Mul(hn::Add(r.rise, hn::Set(kF, residual)), inverse);
+        const Vec side = hn::Set(kF, texel);
+        const Vec u0 = hn::Add(hn::Mul(r.u, side), hn::Set(kF, p.cornerU - p.patch.u));
+        const Vec v0 = hn::Add(hn::Mul(r.v, side), hn::Set(kF, p.cornerV - p.patch.v));
         const Vec halfU = hn::Set(kF, p.patch.halfU), halfV = hn::Set(kF, p.patch.halfV);
         auto hit = hn::And(hn::Gt(s0, r.begin), hn::Le(s1, hn::Set(kF, 1.0f)));
         hit = hn::And(hit, hn::Gt(inverse, hn::Zero(kF)));
@@ -528,10 +640,10 @@ class Traversal {
 
     /// Rays that meet the patch's plane where it is covered.
     std::uint32_t met(const Seen& p, const Batch& r) const {
-        const Vec s = hn::Mul(hn::Set(kF, r.rise), perApproach(p, r));
+        const Vec s = hn::Mul(r.rise, perApproach(p, r));
         const Vec step = hn::Mul(s, hn::Set(kF, p.perTexel));
-        const Vec u = hn::MulAdd(r.du, step, hn::Set(kF, r.u));
-        const Vec v = hn::MulAdd(r.dv, step, hn::Set(kF, r.v));
+        const Vec u = hn::MulAdd(r.du, step, r.u);
+        const Vec v = hn::MulAdd(r.dv, step, r.v);
         const auto inside = [](Vec x, int first, int count) {
             return hn::And(hn::Ge(x, hn::Set(kF, float(first))),
                            hn::Lt(x, hn::Set(kF, float(first + count))));
@@ -561,12 +673,13 @@ class Traversal {
         auto hit = hn::Gt(none, one);
         for (int t = 0; t < BumpPlane::kSide * BumpPlane::kSide; ++t) {
             if (bumps.offset[t] == BumpPlane::kNone) continue;
-            const float above = r.rise + perStep * float(bumps.offset[t]);
-            const Vec s = hn::Mul(hn::Set(kF, above), inverse);
-            const Vec u =
-                hn::MulAdd(r.du, s, hn::Set(kF, r.u - float(t % BumpPlane::kSide)));
-            const Vec v =
-                hn::MulAdd(r.dv, s, hn::Set(kF, r.v - float(t / BumpPlane::kSide)));
+            const Vec above =
+                hn::Add(r.rise, hn::Set(kF, perStep * float(bumps.offset[t])));
+            const Vec s = hn::Mul(above, inverse);
+            const Vec column = hn::Set(kF, float(t % BumpPlane::kSide));
+            const Vec row = hn::Set(kF, float(t / BumpPlane::kSide));
+            const Vec u = hn::MulAdd(r.du, s, hn::Sub(r.u, column));
+            const Vec v = hn::MulAdd(r.dv, s, hn::Sub(r.v, row));
             auto inside = hn::And(hn::Gt(s, r.begin), hn::Le(s, one));
             inside = hn::And(inside, hn::And(hn::Ge(u, none), hn::Lt(u, one)));
             inside = hn::And(inside, hn::And(hn::Ge(v, none), hn::Lt(v, one)));
@@ -624,6 +737,7 @@ class Traversal {
     int top_ = 0;
     RayHull hull_;
     bool anyWide_ = false;
+    Packed packed_;
     Queue queue_;
 };
 

@@ -112,9 +112,17 @@ struct ShadowOptions {
     /// many points.
     float targetError = 0.0f;
     int firstSamples = 16;  ///< of those two: that every point takes, in groups of 16
+    /// A pixel has up to so many points, 1..kMaxPointsPerPixel, which share its samples:
+    /// each takes a part of `samples` times as many, so that their mean errs less than
+    /// that of points which know nothing of each other. Batches only.
+    int pointsPerPixel = 1;
+    /// [point], if pointsPerPixel > 1: the pixel's number times pointsPerPixel plus the
+    /// point's number in it. Null: points of a pixel follow each other in the batch.
+    const std::uint32_t* pixelPoints = nullptr;
 };
 
 inline constexpr int kMaxSamples = 4096;
+inline constexpr int kMaxPointsPerPixel = 256;
 
 /// Refuses options out of range, and a light that the map was not baked for (lightFits).
 /// Call it once before a series of queries; queries clamp what it would refuse.

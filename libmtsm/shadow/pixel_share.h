@@ -1,0 +1,61 @@
+// pixel_share.h - which part of the samples of a pixel a point takes.
+//
+// The points of a pixel share one sequence of samples (base/sampling.h): each takes as
+// many that follow each other, a set that is well spread for itself, and all of them
+// together are one as well. Who takes which is shuffled: else the place in the pixel
+// would go with the place on the light, and what both move (an edge) would be seen
+// unevenly.
+#pragma once
+#include <algorithm>
+#include <bit>
+#include <cstddef>
+#include <cstdint>
+
+#include "base/sampling.h"
+#include "mtsm/shadow.h"
+
+namespace mtsm::shadow {
+
+/// A number below `count` for each part below it, another order for every key.
+[[nodiscard]] inline std::uint32_t shuffled(std::uint32_t part, std::uint32_t count,
+                                            std::uint64_t key) noexcept {
+    if (count <= 1) return 0;
+    const int bits = std::bit_width(count - 1);
+    const std::uint32_t mask = (1u << bits) - 1;
+    do {  // each round is a permutation of the numbers of so many bits
+        for (int round = 0; round < 4; ++round) {
+            const auto more = std::uint32_t(key >> (16 * round));
+            part = ((part ^ more) * ((more >> 4) | 1u)) & mask;
+            part ^= part >> ((bits + 1) / 2);
+        }
+    } while (part >= count);
+    return part;
+}
+
+/// Point i of a batch.
+struct PixelShare {
+    std::uint64_t key;   ///< of the pixel
+    std::uint32_t part;  ///< below options.pointsPerPixel
+
+    PixelShare(const ShadowOptions& options, std::size_t i) noexcept {
+        const auto count = std::uint32_t(options.pointsPerPixel);
+        const std::uint64_t n = options.pixelPoints ? options.pixelPoints[i] : i;
+        key = base::mix(base::mix(std::uint64_t(options.seed) + 1) ^ n / count);
+        part = shuffled(std::uint32_t(n % count), count, base::mix(key));
+    }
+};
+
+/// Where in which sequence a part begins: of a sequence the first kMaxSamples are well
+/// spread, and as many from a multiple of a power of two on.
+struct SequencePart {
+    std::uint32_t sequence, first;
+
+    SequencePart(std::uint32_t part, std::uint32_t samples) noexcept {
+        const std::uint32_t each = std::bit_ceil(samples);
+        const std::uint32_t perSequence = std::max(1u, std::uint32_t(kMaxSamples) / each);
+        sequence = part / perSequence;
+        first = part % perSequence * each;
+    }
+};
+
+}  // namespace mtsm::shadow
