@@ -16,9 +16,11 @@ for preset in dev asan; do
     echo "=== $preset: test"
     ctest --preset "$preset" --parallel "$jobs" "$@"
 done
-echo "=== tsan: what is threaded"
+echo "=== tsan: what is threaded, by test cases with the tag [threads]"
+threaded=(compress format raster bake shadow)
 cmake --preset tsan >/dev/null
-cmake --build --preset tsan --parallel "$jobs" --target test_compress test_format test_raster test_bake \
-    test_shadow
-ctest --preset tsan --parallel "$jobs" -L '^(compress|format|raster|bake|shadow)$' -E 'python|reader.py'
+cmake --build --preset tsan --parallel "$jobs" --target "${threaded[@]/#/test_}"
+for module in "${threaded[@]}"; do
+    "build/tsan/tests/$module/test_$module" '[threads]' --warn NoTests
+done
 echo "All tests passed, plain and with sanitizers."

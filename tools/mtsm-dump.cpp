@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "common/arguments.h"
+#include "common/map_file.h"
 #include "common/tool.h"
 #include "mtsm/describe.h"
 #include "mtsm/image.h"
@@ -492,7 +493,7 @@ void showImage(const Arguments& a, const ShadowMap& map, Talk& talk) {
 }
 
 void validate(const Arguments& a, const ReadLimits& limits) {
-    const ShadowMap map = unwrap(readMap(a.map, limits));
+    const ShadowMap map = unwrapMap(readMap(a.map, limits), a.map, limits);
     const MapInfo& info = map.info();
     if (a.json) {
         return printJson(
@@ -530,15 +531,15 @@ void run(const Arguments& a, const CLI::App& app, Talk& talk) {
     const ReadLimits limits = readLimits(a.maxMemory);
     if (a.validate) return validate(a, limits);
     if (!a.pixel.empty() || !a.plot.empty() || !a.image.empty()) {
-        const ShadowMap map = unwrap(readMap(a.map, limits));
+        const ShadowMap map = unwrapMap(readMap(a.map, limits), a.map, limits);
         if (!a.pixel.empty()) return showPixel(a, map);
         if (!a.plot.empty()) return showPlot(a, map);
         return showImage(a, map, talk);
     }
-    const Description d = unwrap(describe(a.map, limits));
+    const Description d = unwrapMap(describe(a.map, limits), a.map, limits);
     if (a.histogram && a.json) return printJson({{"layerHistogram", d.layerHistogram}});
     if (a.histogram) return print(histogramText(d));
-    const ShadowMap map = unwrap(readMap(a.map, limits));
+    const ShadowMap map = unwrapMap(readMap(a.map, limits), a.map, limits);
     if (a.json) return printJson(summaryJson(a, d, map));
     print(summaryText(a, d, map));
 }

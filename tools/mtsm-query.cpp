@@ -10,6 +10,7 @@
 
 #include "common/arguments.h"
 #include "common/light_options.h"
+#include "common/map_file.h"
 #include "common/passes.h"
 #include "common/quality_options.h"
 #include "common/tool.h"
@@ -82,7 +83,7 @@ struct Arguments {
     std::string pointsFile, raysFile, positionFile, normalFile, positionLayer,
         normalLayer;
     std::string plane, size;
-    bool noNormal = false;
+    bool noNormal = false, noNearField = false;
     std::string output;
     std::int64_t samples = 64, seed = 0, threads = 0;
     bool adaptive = false;
@@ -205,6 +206,10 @@ void addOptions(CLI::App& app, Arguments& a) {
               "paper does, slow and without the near field; or\n"
               "percentage-closer filtering, for small lights\n"
               "(default: trace)")
+        ->group("Query");
+    app.add_flag("--no-near-field", a.noNearField,
+                 "answer from the map's layers alone, as if they were\n"
+                 "all that it has; also where its near field is damaged")
         ->group("Query");
     addChoice(app, "--weight", a.weight, {"uniform", "cosine"},
               "plain mean over the light, or the ratio of\n"
@@ -341,6 +346,7 @@ Receivers passReceivers(const Arguments& a, Talk& talk) {
                          a.normalFile +
                          " holds the positions already; name the normals with "
                          "--normal-layer, or give another file");
+    warnOfNormals(talk, *normals, a.normalFile);
     r.normalPass = true;
     r.normalLayer = normals->layer;
     r.normal = [normals](std::size_t i) { return glm::dvec3(normals->values[i]); };
@@ -443,6 +449,10 @@ bool wantsErrors(const Arguments& a, const ShadowOptions& options) {
     return a.errorChannel || ((a.stats || a.json) && options.samples >= kFewestForErrors);
 }
 
+bool isFinite(glm::dvec3 p) {
+    return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z);
+}
+
 bool isDirection(glm::dvec3 n) {
     return std::isfinite(n.x + n.y + n.z) && n != glm::dvec3(0.0);
 }
@@ -469,7 +479,10 @@ Results queryPoints(const ShadowMap& map, const AreaLight& light,
             points.clear();
             normals.clear();
             for (std::size_t i = begin; i < end; ++i) {
-                if (r.surface && !r.surface(i)) continue;
+                if (r.surface && !r.surface(i)) {
+                    results.stats.notFinite += !isFinite(r.point(i));
+                    continue;
+                }
                 which.push_back(i);
                 points.push_back(r.point(i));
                 if (!r.normal) continue;
@@ -881,7 +894,9 @@ void run(const Arguments& a, const CLI::App& app, Talk& talk) {
     if (!a.output.empty())
         checkOutput(a.output,
                     {a.map, a.pointsFile, a.raysFile, a.positionFile, a.normalFile});
-    ShadowMap map = unwrap(readMap(a.map, readLimits(a.maxMemory)));
+    ReadLimits limits = readLimits(a.maxMemory);
+    limits.nearField = !a.noNearField;
+    ShadowMap map = unwrapMap(readMap(a.map, limits), a.map, limits);
     if (kind == Kind::rays)
         runRays(a, map, talk);
     else

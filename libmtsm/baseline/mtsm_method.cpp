@@ -103,7 +103,7 @@ Result<std::unique_ptr<Method>> build(const MethodScene& scene,
         options.layers = std::uint32_t(layers);
     options.tolerance = float(settings.number("tolerance"));
     options.subsamples = std::uint32_t(settings.whole("subsamples"));
-    options.nearField = settings.word("near") == "auto" ? kAutomaticNearField : 0;
+    options.nearField = settings.word("near-field") == "auto" ? kAutomaticNearField : 0;
     if (const auto error = float(settings.number("target-error")); error > 0.0f) {
         const auto casters = measureCasters(scene.casters);
         if (!casters) return casters.error();
@@ -139,12 +139,14 @@ MethodInfo mtsmMethod() {
         numberSetting("bias", -1.0, -1.0, 1e9,
                       "z threshold of the map, world units; -1: as mtsm-bake",
                       SettingUse::build),
-        wordSetting("near", {"auto", "none"}, "the casters' triangles beside the layers",
+        wordSetting("near-field", {"auto", "none"},
+                    "triangles and strands themselves beside the layers",
                     SettingUse::build),
-        numberSetting("target-error", 0.0, 0.0, 1.0,
-                      "mean error for which resolution, tolerance, near and samples are "
-                      "chosen; 0: as they are given",
-                      SettingUse::build),
+        numberSetting(
+            "target-error", 0.0, 0.0, 1.0,
+            "mean error for which resolution, tolerance, near-field and samples are "
+            "chosen; 0: as they are given",
+            SettingUse::build),
         wholeSetting("samples", 256, 1, kMaxSamples, "rays per point"),
         numberSetting("query-bias", -1.0, -1.0, 1e9,
                       "z threshold of the query, world units; -1: the map's own"),

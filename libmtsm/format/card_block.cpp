@@ -110,7 +110,7 @@ Status checkTextures(const std::vector<CardTexture>& records, std::uint64_t& mos
     if (memory > most)
         return base::makeError(ErrorCode::tooLarge, "its textures take ", memory,
                                " bytes, more than the ", most,
-                               " that ReadLimits::maxBytes (--max-memory) leaves for it");
+                               " that ReadLimits::maxBytes leaves for it");
     most -= memory;
     return {};
 }

@@ -129,6 +129,12 @@ Error ofItsVersion(Error error, std::uint16_t versionMinor) {
                      " that this reader knows: ", error.message, "; use a newer libmtsm");
 }
 
+Error withWayOut(Error error) {
+    if (error.code == ErrorCode::badFile)
+        error.message += "; copy the file again or bake it again";
+    return error;
+}
+
 namespace {
 
 /// The fields of a prefix whose checksum and version are right.
@@ -155,7 +161,7 @@ Status checkPrefix(const Prefix& p) {
 
 Result<Prefix> decodePrefix(BytesView bytes) {
     // Magic and major version come first: nothing else of a newer file means anything.
-    if (bytes.empty()) return bad("is empty, not an MTSM file");
+    if (bytes.empty()) return withWayOut(bad("is empty, not an MTSM file"));
     const std::size_t begun = std::min(bytes.size(), kMagic.size());
     if (std::memcmp(bytes.data(), kMagic.data(), begun) != 0)
         return bad("is not an MTSM file: it does not begin with the magic of its prefix");
@@ -167,15 +173,17 @@ Result<Prefix> decodePrefix(BytesView bytes) {
                          " by its prefix, and this library reads ", kVersionMajor,
                          ".x: a newer libmtsm is needed");
     if (bytes.size() < sizeof(Prefix))
-        return bad("is cut off within its prefix: ", bytes.size(), " bytes of ",
-                   sizeof(Prefix));
+        return withWayOut(bad("is cut off within its prefix: ", bytes.size(),
+                              " bytes of ", sizeof(Prefix)));
 
     const auto p = ByteReader(bytes).get<Prefix>();
     if (p.checksum != base::checksum(bytes.first(offsetof(Prefix, checksum))))
-        return bad("prefix: damaged, its checksum does not fit");
+        return withWayOut(bad("prefix: damaged, its checksum does not fit"));
     if (p.versionMajor != kVersionMajor)
-        return bad("prefix: format version ", p.versionMajor, " has never been");
-    if (auto s = checkPrefix(p); !s) return ofItsVersion(s.error(), p.versionMinor);
+        return withWayOut(
+            bad("prefix: format version ", p.versionMajor, " has never been"));
+    if (auto s = checkPrefix(p); !s)
+        return withWayOut(ofItsVersion(s.error(), p.versionMinor));
     return p;
 }
 

@@ -26,6 +26,9 @@ Result<Prefix> decodePrefix(BytesView bytes);
 /// message, which must not begin with the file's name, says why.
 [[nodiscard]] Error ofItsVersion(Error error, std::uint16_t versionMinor);
 
+/// With the way out of what is wrong with a map: another copy, or another bake.
+[[nodiscard]] Error withWayOut(Error error);
+
 /// Errors: badArgument (a text that is not UTF-8).
 Result<Bytes> encodeHead(const ShadowMap& map);
 /// Fills what HEAD holds of `info`, and the projections; `faces` has the right size.

@@ -47,7 +47,7 @@ std::uint64_t decodedBytes(const TileFacts& facts) {
 Error overMemory(std::uint64_t needed, const ReadLimits& limits) {
     return makeError(ErrorCode::tooLarge, "takes at least ", needed,
                      " bytes to decode, more than the ", limits.maxBytes,
-                     " that ReadLimits::maxBytes (--max-memory) allows");
+                     " that ReadLimits::maxBytes allows");
 }
 
 /// What the threads take at most while they decode tiles, each of the largest ones.

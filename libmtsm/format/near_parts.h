@@ -143,7 +143,7 @@ Status checkMemory(std::uint64_t chunks, std::uint64_t points, std::uint64_t par
     if (memory > most)
         return base::makeError(ErrorCode::tooLarge, "takes ", memory,
                                " bytes to decode, more than the ", most,
-                               " that ReadLimits::maxBytes (--max-memory) leaves for it");
+                               " that ReadLimits::maxBytes leaves for it");
     return {};
 }
 

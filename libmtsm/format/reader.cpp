@@ -174,6 +174,8 @@ Status readDirectoryBlock(const Source& source, const Prefix& prefix,
                           std::optional<std::uint64_t> nearBytes, Bytes& buffer,
                           Frame& frame) {
     const bool wanted = isOfNearField(entry.type) && nearBytes.has_value();
+    // Who does without it does so even where it is damaged.
+    if (isOfNearField(entry.type) && !wanted) return {};
     if (entry.type != kHead && entry.type != kAttr && entry.type != kTotl &&
         entry.type != kHier && !wanted)
         return checkUnknownBlock(source, entry);
@@ -322,7 +324,8 @@ Result<ShadowMap> readMapFile(const Source& source, const ReadLimits& limits,
     const std::string name = source.name() + ": ";
     std::string reason = map.error().message;
     if (reason.starts_with(name)) reason.erase(0, name.size());
-    return located(ofItsVersion({map.error().code, reason}, prefix->versionMinor), name);
+    return located(
+        withWayOut(ofItsVersion({map.error().code, reason}, prefix->versionMinor)), name);
 }
 
 }  // namespace format

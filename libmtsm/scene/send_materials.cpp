@@ -14,12 +14,19 @@ namespace mtsm::scene {
 namespace {
 
 constexpr std::size_t kMostComplaints = 10;
+constexpr std::size_t kMostNames = 20;  // of materials, in one warning
 
 /// The mesh's texture coordinates for a material, or the first it has; null without any.
 const aiVector3D* coordinates(const aiMesh& mesh, unsigned channel) {
     if (channel < AI_MAX_NUMBER_OF_TEXTURECOORDS && mesh.mTextureCoords[channel])
         return mesh.mTextureCoords[channel];
     return mesh.mTextureCoords[0];
+}
+
+bool hasImages(const aiMaterial& material) {
+    for (int type = aiTextureType_NONE; type <= AI_TEXTURE_TYPE_MAX; ++type)
+        if (material.GetTextureCount(aiTextureType(type)) > 0) return true;
+    return false;
 }
 
 /// JPEGs have no alpha, so where only alpha would count they need not be read.
@@ -54,12 +61,21 @@ void dropGrey(OpacityImage& image) {
 
 }  // namespace
 
+std::string OddMaterials::list(std::size_t most) const {
+    std::string text;
+    std::size_t listed = 0;
+    for (const std::string& name : names_) {
+        if (listed++ == most)
+            return base::concat(text, " and ", names_.size() - most, " more");
+        text += base::concat(text.empty() ? "\"" : ", \"", name, "\"");
+    }
+    return text;
+}
+
 void OddMaterials::warn(const std::string& path, const char* what,
                         FrameWriter& out) const {
     if (names_.empty()) return;
-    std::string who = base::concat("material \"", *names_.begin(), "\"");
-    if (names_.size() > 1) who += base::concat(" and ", names_.size() - 1, " more");
-    out.warning(base::concat(path, ": ", who, ": ", what));
+    out.warning(base::concat(path, ": material ", list(1), ": ", what));
 }
 
 Materials::Materials(const std::string& path, const aiScene& scene, SourceFormat format,
@@ -70,7 +86,8 @@ Materials::Materials(const std::string& path, const aiScene& scene, SourceFormat
       out_(out),
       cast_(scene.mNumMaterials),
       used_(scene.mNumMaterials),
-      planned_(scene.mNumMaterials) {
+      planned_(scene.mNumMaterials),
+      asCollada_(format == SourceFormat::collada) {
     for (unsigned m = 0; m < scene.mNumMaterials; ++m) {
         MaterialOpacity stated = materialOpacity(*scene.mMaterials[m], format);
         if (options.opacity) {
@@ -115,6 +132,10 @@ void Materials::use(const aiMesh& mesh) {
     const unsigned m = mesh.mMaterialIndex;
     used_[m] = true;
     const auto& texture = stated_[m].texture;
+    // Who gives textures knows of those that the file lacks.
+    if (!texture && options_.textures.empty() && mesh.mTextureCoords[0] &&
+        !hasImages(*scene_.mMaterials[m]) && (asCollada_ || stated_[m].cutoff >= 0.0f))
+        noImage_.add(*scene_.mMaterials[m]);
     if (!texture) return;
     if (!coordinates(mesh, texture->uvChannel)) {
         if (!stated_[m].guessed) noUvs_.add(*scene_.mMaterials[m]);
@@ -263,18 +284,30 @@ std::vector<glm::vec2> Materials::uvs(const aiMesh& mesh) const {
 void Materials::complain(unsigned material, const std::string& image,
                          const std::string& why) {
     if (++complaints_ > kMostComplaints) return;
-    out_.warning(base::concat(path_, ": material \"",
-                              scene_.mMaterials[material]->GetName().C_Str(),
-                              "\": its texture ", image, " is not used: ", why));
+    const aiString given = scene_.mMaterials[material]->GetName();
+    const char* const name = given.C_Str();
+    out_.warning(base::concat(
+        path_, ": material \"", name, "\": its texture ", image, " is not used: ", why,
+        "; it casts without; give another with --texture '", name, "=IMAGE'"));
 }
 
 void Materials::warn() const {
     if (complaints_ > kMostComplaints)
         out_.warning(base::concat(path_, ": ", complaints_ - kMostComplaints,
                                   " more textures are not used"));
+    OddMaterials all;
+    for (unsigned m = 0; m < scene_.mNumMaterials; ++m)
+        if (used_[m]) all.add(*scene_.mMaterials[m]);
     for (const std::string& pattern : unmatched_)
-        out_.warning(base::concat(path_, ": no material's name matches the pattern \"",
-                                  pattern, "\"; case counts"));
+        out_.warning(
+            base::concat(path_, ": no material's name matches the pattern \"", pattern,
+                         "\"; case counts; materials there are: ", all.list(kMostNames)));
+    if (const std::string names = noImage_.list(kMostNames); !names.empty())
+        out_.warning(base::concat(
+            path_, ": material ", names,
+            ": there are texture coordinates for an image, but the file names none: it "
+            "casts as a whole; if an image cuts it out, give it with --texture "
+            "NAME=IMAGE"));
     OddMaterials takenForOpaque, transmissive;
     for (unsigned m = 0; m < scene_.mNumMaterials; ++m) {
         if (!used_[m]) continue;

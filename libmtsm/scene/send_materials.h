@@ -21,6 +21,8 @@ namespace mtsm::scene {
 class OddMaterials {
   public:
     void add(const aiMaterial& material) { names_.insert(material.GetName().C_Str()); }
+    /// `"one", "two" and 8 more`; empty without any.
+    [[nodiscard]] std::string list(std::size_t most) const;
     /// Sends `path: material "name" and 2 more: what`.
     void warn(const std::string& path, const char* what, FrameWriter& out) const;
 
@@ -78,10 +80,11 @@ class Materials {
     std::vector<MaterialOpacity> stated_;  // [material]
     std::vector<CastMaterial> cast_;       // [material]
     std::vector<bool> used_, planned_;     // [material]
+    bool asCollada_ = false;               // texture coordinates without images are odd
     std::vector<Job> jobs_;
     std::uint32_t sent_ = 0;
     std::size_t complaints_ = 0;
-    OddMaterials noAlpha_, noUvs_, guessed_;
+    OddMaterials noAlpha_, noUvs_, noImage_, guessed_;
     std::vector<std::string> unmatched_;  // patterns of options_.textures
 };
 

@@ -2,6 +2,8 @@
 #include <algorithm>
 #include <cctype>
 #include <cstdint>
+#include <fstream>
+#include <iomanip>
 #include <set>
 #include <string>
 #include <vector>
@@ -218,6 +220,28 @@ bool sendPly(const std::string& path, const NameFilter& filter,
     return true;
 }
 
+/// What is wrong with the numbers that an OFF file begins with, or nothing. The importer
+/// makes room for as many vertices and faces before it looks for them.
+std::string wrongOffCounts(const std::string& path) {
+    constexpr int kMostKeyword = 16, kMostDigits = 18;
+    std::ifstream in(path, std::ios::binary | std::ios::ate);
+    const std::streamoff bytes = in.tellg();
+    in.seekg(0);
+    std::string word, comment;
+    if (!(in >> std::setw(kMostKeyword) >> word) || !word.ends_with("OFF")) return {};
+    // Before the two, nOFF has the number of dimensions.
+    for (int left = word.find('n') == word.npos ? 2 : 3; left > 0; --left) {
+        while (in >> std::setw(kMostDigits) >> word && word.front() == '#')
+            std::getline(in, comment);
+        const std::string digits = word.substr(0, word.find_first_not_of("0123456789"));
+        if (!in || digits.empty()) return {};
+        if (std::stoll(digits) > bytes)
+            return base::concat("states ", word, " vertices or faces, more than its ",
+                                bytes, " bytes can hold; re-export or repair the file");
+    }
+    return {};
+}
+
 /// `extension` of four characters, with its dot, in whatever case.
 bool hasExtension(const std::string& path, std::string_view extension) {
     std::string tail = path.substr(path.size() - std::min<std::size_t>(4, path.size()));
@@ -233,6 +257,8 @@ void sendMeshes(const std::string& path, const MeshFileOptions& options,
     const NameFilter filter(options.include, options.exclude);
     if (hasExtension(path, ".ply") && sendPly(path, filter, options, out)) return;
 
+    if (const std::string wrong = wrongOffCounts(path); !wrong.empty())
+        return out.failure(ErrorCode::badFile, base::concat(path, ": ", wrong));
     AssimpScene file(path, out);
     if (!file.scene()) return;
     const std::string badIndex = indexOutOfRange(*file.scene());

@@ -25,7 +25,7 @@ class BenchScene(Scene):
         """Of the sweep for equal error; no cap on layers."""
         if self.name.startswith("giant"):
             settings.setdefault("resolution", 2048)
-        return self.find("mtsm", light, **{"resolution": 1024, "near": "none", "layers": 0,
+        return self.find("mtsm", light, **{"resolution": 1024, "near-field": "none", "layers": 0,
                                         "adaptive": "false", **settings})
 
     def light(self, light):
@@ -46,7 +46,7 @@ def equal_samples(scenes):
         for light in s.lights:
             modes = [s.find("embree", light, mode=m, samples=256) for m in ("fixed", "pixel")]
             embree = min((seconds(r) for r in modes if seconds(r)), default=None)
-            own = [seconds(s.map(light, near=n, samples=256)) for n in ("none", "auto")]
+            own = [seconds(s.map(light, samples=256, **{"near-field": n})) for n in ("none", "auto")]
             adaptive = seconds(s.find("embree", light, mode="adaptive", samples=16, most=256))
             row(s.name, s.light(light), number(embree, 2), *(times(ratio(embree, o)) for o in own),
                 goal(GOALS_SAMPLES, s.name, light), times(ratio(adaptive, own[0])))
@@ -67,9 +67,9 @@ def winner(target, method, key):
     label = best[method][key] if method in best else None
     if not label:
         return "-"
-    for word in (method + " ", "resolution=", " near=none", "mode="):
+    for word in (method + " ", "resolution=", " near-field=none", "mode="):
         label = label.replace(word, "")
-    return label.replace("adaptive=true", "adaptive").replace("near=auto", "near").replace("samples=", "x").replace("most=", "to ")
+    return label.replace("adaptive=true", "adaptive").replace("near-field=auto", "near").replace("samples=", "x").replace("most=", "to ")
 
 
 def targets(scene, light):
@@ -122,7 +122,7 @@ def errors(scenes):
     head("scene", "light", "without near field", "with it", "paper", "without a cap on layers")
     for s in scenes:
         for light in s.lights:
-            runs = [s.map(light, layers=5, near=n, samples=256) for n in ("none", "auto")]
+            runs = [s.map(light, layers=5, samples=256, **{"near-field": n}) for n in ("none", "auto")]
             runs.append(s.map(light, samples=256))
             said = [f"{number(mean(r))} ({number(std(r))})" if r else "-" for r in runs]
             paper = PAPER_ERRORS.get(s.name)
@@ -164,7 +164,7 @@ def memory(scenes):
             return run and run["build"]["memoryBytes"]
 
         embree = bytes_of(s.find("embree", light, mode="fixed", samples=256))
-        own = [bytes_of(s.map(light, near=n, layers=layers, samples=256))
+        own = [bytes_of(s.map(light, layers=layers, samples=256, **{"near-field": n}))
                for layers in (0, 5) for n in ("none", "auto")]
         row(s.name, f"{1e-6 * embree:.1f}",
             *(f"{1e-6 * o:.1f} ({times(ratio(embree, o))})" if o else "-" for o in own))

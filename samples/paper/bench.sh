@@ -138,13 +138,13 @@ samples = [1, 4, 16, 256]
 [[method]]
 name = "mtsm"
 resolution = [$resolutions]
-near = [$near]
+near-field = [$near]
 samples = [$counts]
 
 [[method]]
 name = "mtsm"
 resolution = [$resolutions]
-near = [$near]
+near-field = [$near]
 samples = [${counts##*16, }]
 adaptive = "true"
 END
@@ -154,7 +154,7 @@ END
 [[method]]
 name = "mtsm"
 resolution = $paper
-near = [$near]
+near-field = [$near]
 layers = 5
 samples = 256
 END
@@ -164,7 +164,7 @@ END
 [[method]]
 name = "mtsm"
 resolution = [$further]
-near = "none"
+near-field = "none"
 samples = 64
 END
 }

@@ -37,7 +37,7 @@ Mesh square(float y, float half, float opacity = 1.0f) {
 }  // namespace
 
 TEST_CASE("the map is the same for 1, 2 and 8 threads and any order of triangles",
-          "[bake][exact]") {
+          "[bake][exact][threads]") {
     std::vector<Mesh> meshes{test::bumpyBall(40), test::bumpyBall(25), square(-2, 3)};
     meshes[1].worldFromObject = glm::scale(
         glm::rotate(glm::translate(glm::dmat4(1.0), {0.7, 0.2, 0.1}), 1.0, {1, 2, 3}),

@@ -363,7 +363,7 @@ TEST_CASE("each of six faces has the triangles that reach into it", "[bake]") {
 }
 
 TEST_CASE("the near field is the same for any number of threads and order of triangles",
-          "[bake][exact]") {
+          "[bake][exact][threads]") {
     std::vector<Mesh> meshes{test::bumpyBall(60), test::bumpyBall(25)};
     meshes[1].worldFromObject = glm::scale(
         glm::rotate(glm::translate(glm::dmat4(1.0), {0.7, 0.2, 0.1}), 1.0, {1, 2, 3}),

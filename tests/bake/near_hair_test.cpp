@@ -250,7 +250,7 @@ TEST_CASE("strands that cast nothing have no place in a near field", "[bake]") {
 }
 
 TEST_CASE("a near field of hair does not depend on threads or on the order of strands",
-          "[bake]") {
+          "[bake][threads]") {
     const Hair hair = randomHair(3000);
     Hair backwards;
     for (std::size_t s = hair.begin.size() - 1; s-- > 0;) {

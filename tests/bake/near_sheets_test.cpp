@@ -84,7 +84,8 @@ TEST_CASE("a card's shadow is its texture, where the ray to the light crosses it
     }
 }
 
-TEST_CASE("equal textures are stored once, and opaque ones are a texel", "[bake]") {
+TEST_CASE("equal textures are stored once, and opaque ones are a texel",
+          "[bake][threads]") {
     const Card card;
     const OpacityTexture mask = textureOf(2, {0.2f, 0.8f}, 0.5f);
     const OpacityTexture again = textureOf(2, {0.2f, 0.8f}, 0.5f);

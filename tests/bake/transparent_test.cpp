@@ -286,7 +286,7 @@ TEST_CASE("a strand of width w stops a w / p of a pixel of width p", "[bake][exa
     CHECK(found >= int(map.info().height) - 16);
 }
 
-TEST_CASE("bands that memory makes do not change the map", "[bake]") {
+TEST_CASE("bands that memory makes do not change the map", "[bake][threads]") {
     Random random(5);
     std::vector<Mesh> meshes{test::bumpyBall(20)};
     meshes[0].opacity = 0.2f;
@@ -341,7 +341,7 @@ TEST_CASE("with subsamples a pixel at an edge stops the part that is covered",
     CHECK(front(23) == 1.0);
 }
 
-TEST_CASE("colour is kept when it is asked for", "[bake][exact]") {
+TEST_CASE("colour is kept when it is asked for", "[bake][exact][threads]") {
     Mesh pane = sheet(1.0f, 1.0f, 0.4f);
     MeshView view = pane.view();
     view.tint = {1.0f, 0.5f, 0.25f};
@@ -388,7 +388,7 @@ TEST_CASE("what no point of the light sees is dropped and counted, and no shadow
     }
 }
 
-TEST_CASE("a light among its casters is baked into six faces", "[bake][exact]") {
+TEST_CASE("a light among its casters is baked into six faces", "[bake][exact][threads]") {
     // A room of walls at distance 2, with a window in the wall at x = 2.
     Mesh room;
     const auto wall = [&](glm::vec3 at, glm::vec3 u, glm::vec3 v) {

@@ -121,6 +121,8 @@ class Help(Compare):
         self.assertRegex(text, r"(?m)^mtsm: .*\[Xie07\]$")
         self.assertRegex(text, r"(?m)^  resolution = 1024  \(1 to 32768\)  pixels")
         self.assertRegex(text, r"(?m)^  lookup = trace  \(trace, scalar, pcf\)")
+        # By the name that mtsm-bake has for it.
+        self.assertRegex(text, r"(?m)^  near-field = auto  \(auto, none\)")
 
 
 class CommandLine(Compare):

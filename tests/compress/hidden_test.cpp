@@ -315,7 +315,8 @@ TEST_CASE("translucent layers hide nothing and are hidden like others",
     CHECK(pixelWith({{9, 0}, {16, 0.5f, 2}}).first == std::vector<float>{9});
 }
 
-TEST_CASE("hidden layers are the same for one thread and many", "[compress][hidden]") {
+TEST_CASE("hidden layers are the same for one thread and many",
+          "[compress][hidden][threads]") {
     const ShadowMap whole = scene(LightShape::disk, 0.3, 0.6, randomSheets(3)).map();
     const Dropped many = withoutHidden(whole);
     tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);

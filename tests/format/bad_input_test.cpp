@@ -886,7 +886,7 @@ TEST_CASE("limits are exact, name themselves and cost nothing", "[format][bad-in
     limits = {};  // the default refuses no resolution as such
     limits.maxBytes = ~std::uint64_t(0);
     checkRefused(file, ErrorCode::badFile, "index", limits);
-    checkRefused(file, ErrorCode::tooLarge, "ReadLimits::maxBytes (--max-memory)");
+    checkRefused(file, ErrorCode::tooLarge, "ReadLimits::maxBytes");
 }
 
 TEST_CASE("what is no map file gives one clear message", "[format][bad-input]") {

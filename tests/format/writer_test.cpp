@@ -94,7 +94,7 @@ TEST_CASE("what no reader would take unasked is not written", "[format][bad-inpu
     CHECK(folder.files() == 1);
 }
 
-TEST_CASE("the bytes do not depend on the number of threads", "[format]") {
+TEST_CASE("the bytes do not depend on the number of threads", "[format][threads]") {
     NoisySpec spec;
     spec.width = spec.height = 200;
     spec.channels = 3;

@@ -140,7 +140,7 @@ std::vector<Mesh> soup(std::uint64_t seed, float oddOpacity) {
 }  // namespace
 
 TEST_CASE("the parallel rasteriser keeps what a sort of all samples keeps",
-          "[raster][exact]") {
+          "[raster][exact][threads]") {
     const std::uint32_t side = 150;
     const Projection p = viewFrom({1, 2, 3}, side);
     for (std::uint64_t seed = 0; seed < 2; ++seed) {

@@ -592,7 +592,7 @@ TEST_CASE("sizes at the ends of what a float holds do no harm", "[raster][bad-in
 }
 
 TEST_CASE("the samples depend neither on threads nor on the rows held nor on batches",
-          "[raster]") {
+          "[raster][threads]") {
     Random random(21);
     const std::uint32_t side = 300;
     Strands s;

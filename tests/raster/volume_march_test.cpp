@@ -390,7 +390,7 @@ TEST_CASE("the order of blocks changes nothing", "[raster][exact]") {
     CHECK(a.counts.samples > 0);
 }
 
-TEST_CASE("any number of threads gives the same samples", "[raster][exact]") {
+TEST_CASE("any number of threads gives the same samples", "[raster][exact][threads]") {
     Fog fog = chunky(6);
     fog.worldFromIndex = skewed();
     const Projection p = lookingAt({0, 0, 0}, {3, 2, 5}, ProjectionKind::perspective);

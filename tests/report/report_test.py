@@ -61,6 +61,7 @@ def fixture(folder):
             runs.append(run("mtsm", light, samples, 0.04 / math.sqrt(samples), 1.0, 0.01 * samples))
             runs.append(run("embree", light, samples, 0.08 / math.sqrt(samples), 0.1, 0.02 * samples))
         runs.append(run("pcf", light, 1, 0.05, 0.2, 0.005, pictures=False))
+    runs[0]["choice"] = {"text": "resolution 512, " + HOSTILE, "target": 0.02, "expected": 0.0125, "met": False}
     for entry, colour in ((r, MAP if r["method"] == "mtsm" else EMBREE) for r in runs if r["image"]):
         (folder / entry["image"]).write_bytes(png(colour))
         (folder / entry["difference"]).write_bytes(png(DIFFERENCE))
@@ -238,6 +239,19 @@ class ReportTest(unittest.TestCase):
             page.choose("#region", region)
             page.choose("#weight", weight)
             self.assertAlmostEqual(float(self.column(page, "error-table", "Mean")[0]), least * factor, places=5)
+
+    def test_what_a_run_chose_stands_beside_its_errors(self):
+        chose = self.column(self.open(), "error-table", "Chose")
+        self.assertEqual([text for text in chose if text != "\u2013"],
+                         [f"resolution 512, {HOSTILE}; expects 0.0125 for 0.02: missed"])
+        without = copy.deepcopy(self.results)
+        for entry in without["runs"]:
+            entry.update(choice=None, image=None, difference=None)
+        for light in without["lights"]:
+            light.pop("truth")
+        with tempfile.TemporaryDirectory() as folder:
+            page = self.open(make(without, pathlib.Path(folder)))
+            self.assertNotIn("Chose", page.evaluate("document.querySelector('#error-table thead').textContent"))
 
     def test_methods_and_lights_can_be_left_out(self):
         page = self.open()

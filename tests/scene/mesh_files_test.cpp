@@ -247,6 +247,24 @@ TEST_CASE("indices out of range are an error in every format", "[scene][bad-inpu
     }
 }
 
+TEST_CASE("an OFF file that states more than its bytes can hold is refused at once",
+          "[scene][bad-input]") {
+    const test::TempFolder folder;
+    const std::string triangle = " 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
+    for (const std::string head :
+         {"OFF\n400000000 1", "OFF 3 400000000",
+          "OFF # lies\n# below\n3 99999999999999999999", "STCN4nOFF 3 3 400000000"}) {
+        INFO(head);
+        const auto seen = seeFile(folder.write("a.off", head + triangle));
+        REQUIRE(!seen.status);
+        CHECK(seen.status.error().code == ErrorCode::badFile);
+        CHECK(contains(seen.error(), "bytes can hold"));
+    }
+    const auto whole = seeFile(folder.write("a.off", "OFF\n# honest\n3 1" + triangle));
+    CHECK(whole.status);
+    CHECK(whole.meshes.size() == 1);
+}
+
 TEST_CASE("a pattern that matches no name is told", "[scene]") {
     const test::TempFolder folder;
     const std::string path = folder.write("s.gltf", scene());

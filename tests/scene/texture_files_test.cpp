@@ -318,12 +318,13 @@ TEST_CASE("glass by transmission casts as opaque, and that is said once", "[scen
 
 // --- COLLADA -------------------------------------------------------------------------
 
-TEST_CASE("a COLLADA texture of transparent is opacity", "[scene][texture][exact]") {
-    const test::TempFolder folder;
-    folder.write("a.png", coloured());
+namespace {
+
+/// A triangle with texture coordinates; `transparent` may use the sampler of a.png.
+std::string texturedCollada(const std::string& transparent) {
     std::string text = test::collada(
-        R"(<transparent opaque="A_ONE"><texture texture="sampler" texcoord="UV"/>)"
-        R"(</transparent><transparency><float>1</float></transparency>)",
+        R"(<transparent opaque="A_ONE">)" + transparent +
+            R"(</transparent><transparency><float>1</float></transparency>)",
         "<node id=\"n\" name=\"n\">" + std::string(test::kColladaTriangle) + "</node>");
     const auto replace = [&](const std::string& what, const std::string& with) {
         REQUIRE(contains(text, what));
@@ -345,10 +346,41 @@ TEST_CASE("a COLLADA texture of transparent is opacity", "[scene][texture][exact
     replace("offset=\"0\"/>\n<p>",
             "offset=\"0\"/>\n<input semantic=\"TEXCOORD\" source=\"#t\" offset=\"0\" "
             "set=\"0\"/><p>");
-    const Loaded loaded = load(folder.write("a.dae", text));
+    return text;
+}
+
+}  // namespace
+
+TEST_CASE("a COLLADA texture of transparent is opacity", "[scene][texture][exact]") {
+    const test::TempFolder folder;
+    folder.write("a.png", coloured());
+    const Loaded loaded = load(folder.write(
+        "a.dae", texturedCollada("<texture texture=\"sampler\" texcoord=\"UV\"/>")));
     CHECK(loaded.allWarnings().empty());
     checkTexels(loaded.mesh());
     CHECK(glm::dvec2(loaded.mesh().uvs[2]) == glm::dvec2(0, 1));
+}
+
+TEST_CASE("texture coordinates for which a file names no image are told of, once",
+          "[scene][texture]") {
+    const test::TempFolder folder;
+    const std::string path =
+        folder.write("a.dae", texturedCollada("<color>1 1 1 1</color>"));
+    const Loaded solid = load(path);
+    CHECK(solid.mesh().opacity == 1.0f);
+    REQUIRE(solid.warnings.size() == 1);
+    CHECK(contains(solid.warnings[0], "but the file names none: it casts as a whole"));
+    CHECK(contains(solid.warnings[0], "--texture NAME=IMAGE"));
+    // Who gives textures has seen to it.
+    MeshFileOptions options;
+    options.textures = {{"*", ""}};
+    CHECK(load(path, options).allWarnings().empty());
+
+    const Loaded mask = loadGltf({R"("alphaMode":"MASK")", R"("alphaMode":"MASK")",
+                                  R"("alphaMode":"BLEND")", R"("alphaMode":"OPAQUE")"},
+                                 grey());
+    REQUIRE(mask.warnings.size() == 1);
+    CHECK(contains(mask.warnings[0], "a.gltf: material \"m0\", \"m1\": "));
 }
 
 // --- colours -------------------------------------------------------------------------
@@ -447,6 +479,7 @@ TEST_CASE("a missing image is a warning that names it, and the number counts",
     CHECK(contains(loaded.warnings[0],
                    "a.obj: material \"m\": its texture other.png is not used: "
                    "there is no such file"));
+    CHECK(contains(loaded.warnings[0], "--texture 'm=IMAGE'"));
 }
 
 TEST_CASE("a mesh without texture coordinates casts without", "[scene][texture]") {
@@ -479,6 +512,7 @@ TEST_CASE("a caller may give materials their textures, or take them away",
     CHECK(taken.mesh().opacity == 0.5f);
     REQUIRE(taken.warnings.size() == 1);
     CHECK(contains(taken.warnings[0], "no material's name matches the pattern \"leaf\""));
+    CHECK(contains(taken.warnings[0], "materials there are: \"m\""));
 
     options.textures = {{"m", folder.path("no.png")}};
     const Loaded missing = load(path, options);

@@ -306,7 +306,7 @@ TEST_CASE("six faces of fog agree with the scalar trace for lights of any shape"
 }
 
 TEST_CASE("a point of six faces is answered the same alone, in a batch and in any order",
-          "[shadow][exact]") {
+          "[shadow][exact][threads]") {
     Random random(4);
     const AreaLight light = lightOf(LightShape::sphere, 0.35);
     const ShadowMap maps[] = {bodiesMap(light, false), bodiesMap(light, true),

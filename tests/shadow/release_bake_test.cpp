@@ -228,7 +228,7 @@ TEST_CASE("without its layers a map answers to the last bit what it did with the
 }
 
 TEST_CASE("memory without layers is less by what they took, and copies are their own",
-          "[shadow]") {
+          "[shadow][threads]") {
     for (const Kind& kind : kKinds) {
         INFO(kind.name);
         const ShadowMap map = bakeOf(kind, LightShape::disk, true);
@@ -260,7 +260,7 @@ TEST_CASE("memory without layers is less by what they took, and copies are their
 }
 
 TEST_CASE("trees that rays beside near media made are counted, and go with the layers",
-          "[shadow]") {
+          "[shadow][threads]") {
     for (const Kind& kind : kKinds) {
         INFO(kind.name);
         const ShadowMap map = bakeOf(kind, LightShape::disk, true);

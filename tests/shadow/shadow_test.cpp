@@ -293,7 +293,7 @@ TEST_CASE("a sun's penumbra is the closed form of its disk", "[shadow][exact]") 
     }
 }
 
-TEST_CASE("a batch equals its single queries whatever the threads", "[shadow]") {
+TEST_CASE("a batch equals its single queries whatever the threads", "[shadow][threads]") {
     const AreaLight light = lightOf(LightShape::disk, 0.3);
     const ShadowMap map =
         mapWith(light, 64, [](glm::dvec2 q) { return q.x * q.y < 0.1; });

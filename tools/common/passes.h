@@ -1,4 +1,4 @@
-// passes.h - what a tool says of the position pass that it was given.
+// passes.h - what a tool says of the passes that it was given.
 #pragma once
 #include <string>
 
@@ -12,5 +12,7 @@ namespace mtsm::tools {
 
 /// Warns of a layer that may be a picture, and of one too coarse for positions.
 void warnOfPositions(Talk& talk, const Pass& positions, const std::string& path);
+/// Warns of a layer that may be a picture.
+void warnOfNormals(Talk& talk, const Pass& normals, const std::string& path);
 
 }  // namespace mtsm::tools

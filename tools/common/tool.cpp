@@ -66,6 +66,16 @@ std::string wordsFor(const CLI::App& app, const CLI::ParseError& wrong) {
     return text;
 }
 
+/// An error of the library, with options where it names fields that they set.
+std::string inToolWords(std::string text) {
+    static constexpr std::array<std::array<std::string_view, 2>, 2> kWords = {
+        {{"ReadLimits::maxBytes", "--max-memory"}, {" (importerBytes)", ""}}};
+    for (const auto& [field, option] : kWords)
+        if (const auto at = text.find(field); at != std::string::npos)
+            text.replace(at, field.size(), option);
+    return text;
+}
+
 }  // namespace
 
 void describeTool(CLI::App& app, const std::string& examples) {
@@ -96,7 +106,7 @@ int runTool(CLI::App& app, int argc, char** argv, Talk& talk,
     } catch (const UsageError& wrong) {
         talk.error(wrong.what() + seeHelp);
     } catch (const Failure& failure) {
-        talk.error(failure.error.message);
+        talk.error(inToolWords(failure.error.message));
         return exitCode(failure.error.code);
     } catch (const std::bad_alloc&) {
         talk.error("not enough memory");

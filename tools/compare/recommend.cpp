@@ -104,7 +104,7 @@ std::string mapLines(const Json& run, const Json& light, const std::string& inpu
     bake += chosen ? target : " --resolution " + numberText(s["resolution"]);
     if (s["layers"] > 0.0) bake += " --layers " + numberText(s["layers"]);
     if (!chosen)
-        bake += " --near-field " + s["near"].get<std::string>() + " --tolerance " +
+        bake += " --near-field " + s["near-field"].get<std::string>() + " --tolerance " +
                 numberText(s["tolerance"]);
     if (s["subsamples"] > 1.0) bake += " --subsamples " + numberText(s["subsamples"]);
     if (s["bias"] >= 0.0) bake += " --bias " + numberText(s["bias"]);

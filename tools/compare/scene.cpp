@@ -219,8 +219,11 @@ void CompareScene::takePicture(const CameraOptions& options, Talk& talk) {
         const Pass positions = unwrap(readPositionPass(options.positionPass));
         warnOfPositions(talk, positions, options.positionPass);
         std::vector<glm::vec3> normals;
-        if (!options.normalPass.empty())
-            normals = unwrap(readNormalPass(options.normalPass, positions)).values;
+        if (!options.normalPass.empty()) {
+            Pass pass = unwrap(readNormalPass(options.normalPass, positions));
+            warnOfNormals(talk, pass, options.normalPass);
+            normals = std::move(pass.values);
+        }
         picture_ = baseline::pictureOfPass(positions.data.width, positions.data.height,
                                            positions.values, positions.surface, normals);
         if (picture_.pixels() == 0)

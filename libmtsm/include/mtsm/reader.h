@@ -32,13 +32,14 @@ struct ReadLimits {
     /// Over all faces. By default all that a map may have.
     std::uint64_t maxPixels = std::uint64_t(6) * kMaxResolution * kMaxResolution;
     std::uint64_t maxAttributeBytes = 64u << 20;  ///< attributes and texts
-    /// Without, the near field is passed over, as by a reader that does not know of it.
+    /// Without, the near field is passed over unread, so that a map whose near field is
+    /// damaged still answers from its layers.
     bool nearField = true;
 };
 
-/// The whole map. Errors: io, badFile (the message names the damaged part and its
-/// offset), unsupported (newer major version, unknown critical block, or anything else
-/// that is not understood in a newer minor version), tooLarge (a limit).
+/// The whole map. Errors: io, badFile (the message names the damaged part, its offset and
+/// the way out), unsupported (newer major version, unknown critical block, or anything
+/// else that is not understood in a newer minor version), tooLarge (a limit).
 Result<ShadowMap> readMap(const std::string& path, const ReadLimits& limits = {});
 
 /// The same from memory; `name` stands for the path in messages.
