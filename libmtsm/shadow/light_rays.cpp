@@ -258,6 +258,12 @@ class Starts {
         keep(slopes.lowU, bundle_.slopeLowU), keep(slopes.highU, bundle_.slopeHighU);
         keep(slopes.lowV, bundle_.slopeLowV), keep(slopes.highV, bundle_.slopeHighV);
         bundle_.wide |= std::uint16_t((bitsOf(bounded) ^ ((1u << kN) - 1)) << first_);
+        const auto steepest = [](Vec low, Vec high) {
+            return hn::Max(hn::Abs(low), hn::Abs(high));
+        };
+        keep(hn::Max(steepest(slopes.lowU, slopes.highU),
+                     steepest(slopes.lowV, slopes.highV)),
+             bundle_.slant);
         const Vec extentU = hn::Sub(slopes.highU, slopes.lowU);
         const Vec extentV = hn::Sub(slopes.highV, slopes.lowV);
         const Vec lightArea = area();
@@ -680,7 +686,7 @@ void fill(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
     for (int first = 0; first < trace::kMostReceivers; first += kN)
         Starts(in, first, bundle);
     const int few = in.samples > 2 ? 4 : in.samples;
-    if (in.samples <= few && in.at.count > 1)
+    if (in.samples <= few)
         fillFew(in, few, bundle, fates);
     else
         fillMany(in, bundle, fates);

@@ -328,6 +328,8 @@ class RayQuery::Bundle {
         }
         bundle_.slopeLowU[receiver] = all.lowU, bundle_.slopeHighU[receiver] = all.highU;
         bundle_.slopeLowV[receiver] = all.lowV, bundle_.slopeHighV[receiver] = all.highV;
+        bundle_.slant[receiver] = std::max({std::abs(all.lowU), std::abs(all.highU),
+                                            std::abs(all.lowV), std::abs(all.highV)});
         const float w = bundle_.w[receiver];
         const float spread = face_.spreadPerZ / w + face_.spreadConstant;
         bundle_.spread[receiver] = spread;
@@ -337,9 +339,9 @@ class RayQuery::Bundle {
     }
 
     void copyFirst(int i) {
-        for (float* lanes :
-             {bundle_.u, bundle_.v, bundle_.w, bundle_.rise, bundle_.slopeLowU,
-              bundle_.slopeHighU, bundle_.slopeLowV, bundle_.slopeHighV, bundle_.spread})
+        for (float* lanes : {bundle_.u, bundle_.v, bundle_.w, bundle_.rise,
+                             bundle_.slopeLowU, bundle_.slopeHighU, bundle_.slopeLowV,
+                             bundle_.slopeHighV, bundle_.spread, bundle_.slant})
             lanes[i] = lanes[0];
         bundle_.topLevel[i] = bundle_.topLevel[0];
     }

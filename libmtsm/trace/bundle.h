@@ -60,6 +60,9 @@ struct RayBundle {
     /// [receiver]: distance between neighbouring rays, pixels, per w that they are away
     /// from the start: something so much coarser than a pixel does.
     alignas(64) float spread[kMostReceivers];
+    /// [receiver]: the most that rays to anywhere on the light go sideways, pixels per w:
+    /// a surface that is off by so much w seems off by so many pixels.
+    alignas(64) float slant[kMostReceivers];
     /// [receiver]: no level above this one may answer.
     std::uint8_t topLevel[kMostReceivers];
     /// [row][lane]: a texel that is covered in part blocks the rays whose threshold

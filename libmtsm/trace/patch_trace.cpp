@@ -358,10 +358,7 @@ class Traversal {
         const Vec rise = load(bundle_.rise);
         const Vec lowU = load(bundle_.slopeLowU), highU = load(bundle_.slopeHighU);
         const Vec lowV = load(bundle_.slopeLowV), highV = load(bundle_.slopeHighV);
-        const auto steepest = [](Vec low, Vec high) {
-            return hn::Max(hn::Abs(low), hn::Abs(high));
-        };
-        const Vec slant = hn::Max(steepest(lowU, highU), steepest(lowV, highV));
+        const Vec slant = load(bundle_.slant);
         const Vec dense = hn::Mul(load(bundle_.spread), set(kTexel));
         const float margin = tree_.margin();
         const bool planes = bundle_.hasPlanes;

@@ -120,7 +120,7 @@ TEST_CASE("near sheets are kept within their budget, and not in colour", "[bake]
     const Card card;
     const OpacityTexture texture = textureOf(100, std::vector<float>(20000, 0.5f), -1.0f);
     BakeOptions options = lamp(false);
-    options.nearField = 50000;
+    options.nearField = 30000;
     const Baked little = mustBake({card.view(texture)}, options);
     CHECK(little.map.nearSheets(0).empty());
     CHECK_THAT(little.report.noNearField, Catch::Contains("--near-field 1M"));

@@ -88,6 +88,7 @@ struct Rays {
         copy(b.slopeLowU, bundle.slopeLowU), copy(b.slopeHighU, bundle.slopeHighU);
         copy(b.slopeLowV, bundle.slopeLowV), copy(b.slopeHighV, bundle.slopeHighV);
         copy(b.rise, bundle.rise), copy(b.spread, bundle.spread);
+        copy(b.slant, bundle.slant);
         copy(b.planeU, bundle.planeU), copy(b.planeV, bundle.planeV);
         copy(b.planeW, bundle.planeW);
         bundle.topLevel[to] = b.topLevel[from];
@@ -153,6 +154,11 @@ struct Rays {
         bundle.slopeHighU[receiver] = higher(bounds.highU);
         bundle.slopeLowV[receiver] = lower(bounds.lowV);
         bundle.slopeHighV[receiver] = higher(bounds.highV);
+        bundle.slant[receiver] =
+            std::max(std::max(std::abs(bundle.slopeLowU[receiver]),
+                              std::abs(bundle.slopeHighU[receiver])),
+                     std::max(std::abs(bundle.slopeLowV[receiver]),
+                              std::abs(bundle.slopeHighV[receiver])));
     }
     void boundGroup(int group) {
         Bounds bounds;

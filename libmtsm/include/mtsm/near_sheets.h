@@ -100,8 +100,8 @@ struct NearTexture {
     /// [height][width], upper row first, in 255ths. None after releaseLayers()
     /// (mtsm/shadow.h).
     std::vector<std::uint8_t> texels = {255};
-    /// [height + 2][width + 2]: the same between what `wrap` says lies beyond the borders.
-    /// ShadowMap::create builds them, whatever is there.
+    /// [height + 2][width + 2]: the same between what `wrap` says lies beyond the
+    /// borders. ShadowMap::create builds them, whatever is there.
     std::vector<std::uint8_t> bordered = {};
 };
 
