@@ -21,6 +21,6 @@ threaded=(compress format raster bake shadow)
 cmake --preset tsan >/dev/null
 cmake --build --preset tsan --parallel "$jobs" --target "${threaded[@]/#/test_}"
 for module in "${threaded[@]}"; do
-    "build/tsan/tests/$module/test_$module" '[threads]' --warn NoTests
+    timeout 1200 "build/tsan/tests/$module/test_$module" '[threads]' --warn NoTests
 done
 echo "All tests passed, plain and with sanitizers."

@@ -548,8 +548,10 @@ PointList pointsToAsk(const Receivers& r) {
 }
 
 /// What may bring the error down to what was asked for.
-const char* adviceFor(std::optional<float> bakedFor, const QueryPlan& plan, float asked) {
+const char* adviceFor(const Arguments& a, std::optional<float> bakedFor,
+                      const QueryPlan& plan, float asked) {
     if (plan.mapError <= 0.5f * asked) return "raise --samples";
+    if (a.noNearField) return "leave out --no-near-field";
     // A little more than the text that the map remembers may have been rounded to.
     if (bakedFor && *bakedFor <= 1.0001f * asked)
         return "the map was baked for it, and that is what the worse maps of its kind "
@@ -586,7 +588,7 @@ ShadowOptions plannedOptions(const Arguments& a, const CLI::App& app,
         talk.say(text);
     else
         talk.warn(text + ": more than was asked for; " +
-                  adviceFor(bakedFor(map.info().settings), plan, asked));
+                  adviceFor(a, bakedFor(map.info().settings), plan, asked));
     return o;
 }
 

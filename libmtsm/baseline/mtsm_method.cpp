@@ -56,7 +56,9 @@ class MtsmMethod final : public Method {
         std::size_t most = 1;
         for (std::size_t p = 0; p < at.pixels; ++p)
             most = std::max(most, at.first[p + 1] - at.first[p]);
-        if (most == 1 || most > std::size_t(kMaxPointsPerPixel)) return {};
+        if (most == 1 || most > std::size_t(kMaxPointsPerPixel) ||
+            at.pixels > 0xffffffffu / most)
+            return {};
         std::vector<std::uint32_t> numbers(at.count);
         for (std::size_t p = 0; p < at.pixels; ++p) {
             for (std::size_t i = at.first[p]; i < at.first[p + 1]; ++i)

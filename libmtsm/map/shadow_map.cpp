@@ -319,7 +319,7 @@ void ShadowMap::dropLayers() noexcept {
     for (MapFace& face : faces_) {
         for (Tile& t : face.tiles)
             t = Tile();
-        // Queries look them up as corners.
+        // Queries look them up with their borders.
         for (NearTexture& texture : face.nearSheets.textures)
             texture.texels = {};
     }

@@ -7,9 +7,9 @@
 // 1 - exp(-extinction * density * length), length being that of the ray's chord in the
 // voxel in world units, and its depth that of the chord's middle. Where it would take
 // more than a step of the light that reached the volume it is several, each taking as
-// much of that: at any depth the samples in front have taken what the fog has, to half a
-// step. Altogether there is no more than a sample for each voxel and one for each step
-// of 1.
+// much of that: at any depth the samples in front have taken what the fog has, to a step
+// or so (several in single voxels of an optical depth beyond 10). Altogether there is no
+// more than a sample for each voxel and one for each step of 1.
 //
 // The samples of a ray multiply to its exact transmittance. What would be less opaque
 // than 2^-24 waits for the next voxel of the ray; what is left of that behind the last

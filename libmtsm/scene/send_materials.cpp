@@ -13,6 +13,16 @@
 namespace mtsm::scene {
 namespace {
 
+/// A name as the pattern that it alone matches.
+std::string asPattern(std::string_view name) {
+    std::string pattern;
+    for (const char c : name) {
+        if (std::string_view("*?[]\\").find(c) != std::string_view::npos) pattern += '\\';
+        pattern += c;
+    }
+    return pattern;
+}
+
 constexpr std::size_t kMostComplaints = 10;
 constexpr std::size_t kMostNames = 20;  // of materials, in one warning
 
@@ -288,7 +298,7 @@ void Materials::complain(unsigned material, const std::string& image,
     const char* const name = given.C_Str();
     out_.warning(base::concat(
         path_, ": material \"", name, "\": its texture ", image, " is not used: ", why,
-        "; it casts without; give another with --texture '", name, "=IMAGE'"));
+        "; it casts without; give another with --texture '", asPattern(name), "=IMAGE'"));
 }
 
 void Materials::warn() const {

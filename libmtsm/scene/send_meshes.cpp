@@ -220,22 +220,31 @@ bool sendPly(const std::string& path, const NameFilter& filter,
     return true;
 }
 
+/// The next word of an OFF file, its first characters; comments are passed over.
+std::string offWord(std::istream& in) {
+    constexpr int kMost = 18;  // digits of a number that 64 bits hold
+    std::string word, comment;
+    while (in >> std::setw(kMost) >> word) {
+        const std::size_t mark = word.find('#');
+        if (mark != word.npos) std::getline(in, comment);
+        if (mark != 0) return word.substr(0, mark);
+    }
+    return {};
+}
+
 /// What is wrong with the numbers that an OFF file begins with, or nothing. The importer
 /// makes room for as many vertices and faces before it looks for them.
 std::string wrongOffCounts(const std::string& path) {
-    constexpr int kMostKeyword = 16, kMostDigits = 18;
     std::ifstream in(path, std::ios::binary | std::ios::ate);
     const std::streamoff bytes = in.tellg();
     in.seekg(0);
-    std::string word, comment;
-    if (!(in >> std::setw(kMostKeyword) >> word) || !word.ends_with("OFF")) return {};
-    // Before the two, nOFF has the number of dimensions.
-    for (int left = word.find('n') == word.npos ? 2 : 3; left > 0; --left) {
-        while (in >> std::setw(kMostDigits) >> word && word.front() == '#')
-            std::getline(in, comment);
-        const std::string digits = word.substr(0, word.find_first_not_of("0123456789"));
-        if (!in || digits.empty()) return {};
-        if (std::stoll(digits) > bytes)
+    std::string word = offWord(in);
+    // The keyword may be missing. Before the two, nOFF has the number of dimensions.
+    int left = word.find('n') == word.npos ? 2 : 3;
+    if (word.ends_with("OFF")) word = offWord(in);
+    for (; left > 0; --left, word = offWord(in)) {
+        if (word.empty() || word.find_first_not_of("0123456789") != word.npos) return {};
+        if (std::stoll(word) > bytes)
             return base::concat("states ", word, " vertices or faces, more than its ",
                                 bytes, " bytes can hold; re-export or repair the file");
     }
@@ -257,7 +266,8 @@ void sendMeshes(const std::string& path, const MeshFileOptions& options,
     const NameFilter filter(options.include, options.exclude);
     if (hasExtension(path, ".ply") && sendPly(path, filter, options, out)) return;
 
-    if (const std::string wrong = wrongOffCounts(path); !wrong.empty())
+    const std::string wrong = hasExtension(path, ".off") ? wrongOffCounts(path) : "";
+    if (!wrong.empty())
         return out.failure(ErrorCode::badFile, base::concat(path, ": ", wrong));
     AssimpScene file(path, out);
     if (!file.scene()) return;

@@ -612,6 +612,7 @@ void boundFew(int count, int each, trace::RayBundle& bundle) {
             least -= margin, most += margin;
         };
         grow(low[0], high[0]), grow(low[1], high[1]);
+        if (!(high[0] - low[0] < HUGE_VALF && high[1] - low[1] < HUGE_VALF)) continue;
         bundle.slopeLowU[receiver] = low[0], bundle.slopeHighU[receiver] = high[0];
         bundle.slopeLowV[receiver] = low[1], bundle.slopeHighV[receiver] = high[1];
     }
@@ -646,6 +647,7 @@ void fillFew(const FillInput& in, int each, trace::RayBundle& bundle, RayFates& 
         const int first = receiver * each % kLanes;
         const auto copy = [&](auto* field) {
             std::copy_n(field[from] + first, each, field[receiver]);
+            std::fill(field[receiver] + each, field[receiver] + kLanes, 0.0f);
         };
         copy(bundle.du), copy(bundle.dv), copy(bundle.dw), copy(bundle.begin);
         if (in.media) copy(bundle.beginSurfaces);
@@ -707,7 +709,7 @@ HWY_EXPORT(fill);
 
 namespace {
 
-/// Patterns that receivers choose from, at least; and pixels.
+/// Patterns that receivers choose from; and pixels, if that is more.
 constexpr std::uint32_t kPatterns = 32, kPixelPatterns = 4;
 /// Points of all patterns, if those of a pixel are no more.
 constexpr std::uint32_t kMostPoints = 1u << 20;

@@ -23,8 +23,8 @@ namespace mtsm::shadow {
     const int bits = std::bit_width(count - 1);
     const std::uint32_t mask = (1u << bits) - 1;
     do {  // each round is a permutation of the numbers of so many bits
-        for (int round = 0; round < 4; ++round) {
-            const auto more = std::uint32_t(key >> (16 * round));
+        for (int round = 0; round < 6; ++round) {
+            const auto more = std::uint32_t(std::rotr(key, 11 * round));
             part = ((part ^ more) * ((more >> 4) | 1u)) & mask;
             part ^= part >> ((bits + 1) / 2);
         }

@@ -95,6 +95,8 @@ class Pilot {
         options.samples = samples;
         options.adaptive = false;
         options.targetError = 0.0f;
+        options.pointsPerPixel = 1;  // of pixels there are single points here
+        options.pixelPoints = nullptr;
         Found found{std::vector<float>(points_.size()),
                     std::vector<float>(points_.size())};
         shadowFactors(map, light, points_.data(),

@@ -387,8 +387,11 @@ Status checkQuery(const ShadowMap& map, const AreaLight& light,
 glm::vec3 shadowFactorColor(const ShadowMap& map, const AreaLight& light,
                             glm::dvec3 point, glm::dvec3 normal,
                             const ShadowOptions& options) noexcept {
+    ShadowOptions alone = options;
+    alone.pointsPerPixel = 1;
+    alone.pixelPoints = nullptr;
     glm::vec3 factor;
-    shadowFactorsColor(map, light, &point, &normal, 1, &factor, options);
+    shadowFactorsColor(map, light, &point, &normal, 1, &factor, alone);
     return factor;
 }
 

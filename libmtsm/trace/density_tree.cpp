@@ -291,14 +291,15 @@ class PixelSlabs {
         if (layer.single)
             out.push_back(between(layer.w, layer.w, depth));
         else
-            spread(layer, depth, out);
+            spread(layer, ends, depth, out);
     }
 
     /// Evenly in depth, so that half of each sample lies in front of where it is met; a
     /// slab is even in 1/z instead, so a long layer becomes several.
-    void spread(const Layer& layer, Depths<kChannels> depth, List& out) const {
+    void spread(const Layer& layer, bool ends, Depths<kChannels> depth, List& out) const {
         const float z0 = layer.pixel.z[layer.i - 1] + halfStep(layer.pixel, layer.i);
-        const float z1 = layer.pixel.z[layer.i] + reach(layer.pixel, layer.i);
+        const float z1 =
+            layer.pixel.z[layer.i] + (ends ? 0.0f : reach(layer.pixel, layer.i));
         std::uint32_t pieces = 1;
         if (perspective_ && z1 > z0) {
             const float thickest = *std::max_element(depth.begin(), depth.end());
@@ -468,7 +469,7 @@ class Merger {
         begin_[count_++] = slabs_.size();
         append(slabs_);
         slabs_.push_back(kEnd);
-        hidingEnd_[count_ - 1] = hiding_.size();
+        hidingFirst_[count_ - 1] = hidingEnd_[count_ - 1] = hiding_.size();
     }
     /// The sheets of the texel of the list that was added last.
     template <typename Append>
@@ -542,7 +543,7 @@ class Merger {
         open.together = at + kTogether * limits_.lengthAt(at);
     }
 
-    void close(Open& open, float share, List& out) const {
+    void close(Open& open, float share, List& out) {
         Slab<kChannels> slab{open.low, open.high, {}};
         if (limits_.thin && open.high <= open.end && open.thickest > 0.0f) {
             const float w = open.low + open.moment / open.thickest;
@@ -564,17 +565,17 @@ class Merger {
 
     /// What the children take of the light that their sheets close by leave: where these
     /// are dark there is none to be taken. `all`: if that is nowhere.
-    [[nodiscard]] float takenBesideSheets(const Open& open, std::uint32_t c,
-                                          float all) const {
+    [[nodiscard]] float takenBesideSheets(const Open& open, std::uint32_t c, float all) {
         const float reach = kTogether * limits_.lengthAt(open.low);
         float taken = 0.0f, left = 0.0f;
         for (std::size_t k = 0; k < count_; ++k) {
             float hidden = 0.0f;
-            for (std::size_t i = k > 0 ? hidingEnd_[k - 1] : 0; i < hidingEnd_[k]; ++i) {
-                const Slab<kChannels>& sheet = hiding_[i];
-                if (sheet.low <= open.high + reach && sheet.high >= open.low - reach)
-                    hidden += sheet.depth[c];
-            }
+            std::size_t& first = hidingFirst_[k];
+            while (first < hidingEnd_[k] && hiding_[first].high < open.low - reach)
+                ++first;
+            for (std::size_t i = first;
+                 i < hidingEnd_[k] && hiding_[i].low <= open.high + reach; ++i)
+                hidden += hiding_[i].depth[c];
             const float share = 1.0f - takenBy(hidden);
             taken += share * takenBy(open.depth[k][c]);
             left += share;
@@ -585,7 +586,7 @@ class Merger {
 
     /// Takes what lies from `at` to where a list's slab begins or ends, or the one that
     /// is open has to.
-    void advance(Fronts& fronts, float at, float share, Open& open, List& out) const {
+    void advance(Fronts& fronts, float at, float share, Open& open, List& out) {
         float to = std::max(open.end, at + open.shortest), density = 0.0f;
         for (const Slab<kChannels>* slab : fronts) {
             if (slab->low > at) {
@@ -634,7 +635,7 @@ class Merger {
     Limits limits_;
     List slabs_;   // of all lists, each with kEnd behind
     List hiding_;  // sheets of all texels
-    std::size_t begin_[4] = {}, hidingEnd_[4] = {}, count_ = 0;
+    std::size_t begin_[4] = {}, hidingFirst_[4] = {}, hidingEnd_[4] = {}, count_ = 0;
 };
 
 /// Level 1 of a face, level 0 being read a texel's four pixels at a time.

@@ -389,8 +389,10 @@ class Traversal {
             above = hn::MulAdd(hn::Abs(c), set(p.residual), above);
             const auto higher = hn::Gt(above, height);
             open[number] |= ((bitsOf(met16) | wide) & bitsOf(higher)) << k;
+            // Of a single ray straight to the light both are zero: then nothing is coarse
+            // enough.
             const Vec coarse = hn::Max(hn::Mul(slant, set(p.residual)), set(p.texel));
-            far[number] |= bitsOf(hn::Le(coarse, hn::Mul(dense, lowest))) << k;
+            far[number] |= bitsOf(hn::Lt(coarse, hn::Mul(dense, lowest))) << k;
         }
     }
 

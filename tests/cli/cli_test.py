@@ -1475,10 +1475,13 @@ class Dump(ToolTest):
     def test_casters_are_told_to_be_baked(self):
         pathlib.Path("bunny.ply").write_text("ply\n")
         pathlib.Path("fur").write_bytes(hair())
+        pathlib.Path("points.csv").write_text("plymouth,0,0\n")
+        self.assertNotIn("a mesh", self.fails(run("dump", "points.csv"), 4, "points.csv").stderr)
         for path, what, target in (("scene.obj", "a mesh", "scene"), ("bunny.ply", "a mesh", "bunny"),
                                    ("fur", "hair", "fur")):
             for command in (["dump", path], ["dump", path, "--validate"], ["query", path, "--point", "0,0,0"]):
-                self.fails(run(*command), 4, f"{path}: is {what}, not a map: bake it with mtsm-bake {path} -o {target}.mtsm")
+                self.fails(run(*command), 4, f"{path}: is {what}, not a map: bake it with mtsm-bake '{path}' --light-position X,Y,Z "
+                           f"--light-radius R -o '{target}.mtsm'")
 
     def test_bytes_are_told_by_plane_and_what_was_left_out(self):
         j = json.loads(self.good(run("dump", "key.mtsm", "--json")).stdout)

@@ -189,7 +189,7 @@ TEST_CASE("bytes after the end are refused", "[format][bad-input]") {
 }
 
 TEST_CASE("of several bad tiles the first is reported, whatever the threads do",
-          "[format][bad-input]") {
+          "[format][bad-input][threads]") {
     NoisySpec spec;
     spec.width = spec.height = 128;
     spec.emptyTiles = 0.0;

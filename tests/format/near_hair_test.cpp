@@ -59,7 +59,7 @@ Bytes withHair(const Bytes& hair) {
 }  // namespace
 
 TEST_CASE("strands come back bit by bit, whatever their number and codec",
-          "[format][roundtrip]") {
+          "[format][roundtrip][threads]") {
     for (const std::size_t chunks : {1u, 2u, 1023u, 1024u, 1025u}) {
         const ShadowMap map = mapWith({noisyHair(chunks, chunks)});
         for (const Codec codec : {Codec::none, Codec::zstd}) {
@@ -121,7 +121,7 @@ TEST_CASE("a reader that wants no near field passes strands over", "[format]") {
     checkRefused(file, ErrorCode::tooLarge, "ReadLimits::maxBytes", limits);
 }
 
-TEST_CASE("describe counts strands", "[format]") {
+TEST_CASE("describe counts strands", "[format][threads]") {
     NearHair hair = noisyHair(20, 13);
     for (int t = 5; t < NearHairChunk::kSegments; ++t)
         hair.chunks[19].opacity[t] = 0;

@@ -253,7 +253,8 @@ TEST_CASE("an OFF file that states more than its bytes can hold is refused at on
     const std::string triangle = " 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
     for (const std::string head :
          {"OFF\n400000000 1", "OFF 3 400000000",
-          "OFF # lies\n# below\n3 99999999999999999999", "STCN4nOFF 3 3 400000000"}) {
+          "OFF # lies\n# below\n3 99999999999999999999", "STCN4nOFF 3 3 400000000",
+          "# a comment first\nOFF\n400000000 1", "400000000 1"}) {
         INFO(head);
         const auto seen = seeFile(folder.write("a.off", head + triangle));
         REQUIRE(!seen.status);
@@ -263,6 +264,15 @@ TEST_CASE("an OFF file that states more than its bytes can hold is refused at on
     const auto whole = seeFile(folder.write("a.off", "OFF\n# honest\n3 1" + triangle));
     CHECK(whole.status);
     CHECK(whole.meshes.size() == 1);
+    for (const std::string head :
+         {"# 90000000 triangles\nOFF 3 1", "OFF\n3#v 90000000\n1"}) {
+        INFO(head);
+        const auto seen = seeFile(folder.write("a.off", head + triangle));
+        if (!seen.status) CHECK(!contains(seen.error(), "bytes can hold"));
+    }
+    const auto other = seeFile(folder.write(
+        "a.obj", "#KICKOFF 20260101 scene\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"));
+    CHECK(other.status);
 }
 
 TEST_CASE("a pattern that matches no name is told", "[scene]") {

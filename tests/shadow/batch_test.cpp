@@ -55,11 +55,11 @@ constexpr LightShape kShapes[] = {LightShape::point, LightShape::disk, LightShap
                                   LightShape::sphere, LightShape::sun};
 
 /// A bumpy body over a floor; a sun's map is orthographic.
-ShadowMap mapOf(LightShape shape, bool nearField) {
+ShadowMap mapOf(const AreaLight& light, bool nearField) {
     const test::Mesh floor = floorMesh();
     CasterViews casters({body().view(), floor.view()});
     BakeOptions options;
-    options.light = lightOf(shape);
+    options.light = light;
     options.width = options.height = 256;
     options.nearField = nearField ? kAutomaticNearField : 0;
     auto baked = bake(casters, options);
@@ -67,8 +67,11 @@ ShadowMap mapOf(LightShape shape, bool nearField) {
     REQUIRE(baked->map.isOpaque());
     REQUIRE(baked->map.nearField(0).empty() != nearField);
     const bool perspective = baked->map.projection(0).kind == ProjectionKind::perspective;
-    REQUIRE(perspective == (shape != LightShape::sun));
+    REQUIRE(perspective == (light.shape != LightShape::sun));
     return std::move(baked->map);
+}
+ShadowMap mapOf(LightShape shape, bool nearField) {
+    return mapOf(lightOf(shape), nearField);
 }
 
 struct Points {
@@ -135,13 +138,17 @@ ShadowOptions samplesOf(int n) {
     return options;
 }
 
+std::vector<float> answers(const ShadowMap& map, const AreaLight& light,
+                           const Points& points, const ShadowOptions& options,
+                           bool normals = true) {
+    std::vector<float> out(points.size(), -1.0f);
+    shadowFactors(map, light, points.at.data(), normals ? points.normal.data() : nullptr,
+                  points.size(), out.data(), options);
+    return out;
+}
 std::vector<float> answers(const ShadowMap& map, LightShape shape, const Points& points,
                            const ShadowOptions& options, bool normals = true) {
-    std::vector<float> out(points.size(), -1.0f);
-    shadowFactors(map, lightOf(shape), points.at.data(),
-                  normals ? points.normal.data() : nullptr, points.size(), out.data(),
-                  options);
-    return out;
+    return answers(map, lightOf(shape), points, options, normals);
 }
 
 bool same(const std::vector<float>& a, const std::vector<float>& b) {
@@ -268,6 +275,48 @@ TEST_CASE("batches agree with the scalar trace in the mean", "[shadow][statistic
             compare(onIt, true, {0.015, 0.04});
             compare(onIt, false, nearField ? Bound{0.015, 0.05} : Bound{0.03, 0.04});
         }
+    }
+}
+
+TEST_CASE("a sun without a size is answered as by the scalar trace",
+          "[shadow][statistical]") {
+    const ShadowMap map = mapOf(LightShape::sun, false);
+    AreaLight sun = lightOf(LightShape::sun);
+    sun.angularDiameter = 0.0;  // all rays go straight through the map
+    Random random(5);
+    const Points points = onBody(random, 1500);
+    for (const bool normals : {true, false}) {
+        ShadowOptions options = samplesOf(1);
+        const std::vector<float> found = answers(map, sun, points, options, normals);
+        options.method = ShadowMethod::scalar;
+        const std::vector<float> expected = answers(map, sun, points, options, normals);
+        INFO("found " << meanOf(found) << " expected " << meanOf(expected));
+        CHECK(std::abs(meanOf(found) - meanOf(expected)) < 0.03);
+        CHECK(different(found, expected) < 60);
+    }
+}
+
+TEST_CASE(
+    "a few rays to a large light are the same alone, in a batch and in a part of it",
+    "[shadow][exact]") {
+    AreaLight light = lightOf(LightShape::sphere);
+    light.radius = 1.6;
+    const ShadowMap map = mapOf(light, false);
+    Random random(6);
+    const Points points = onBody(random, 1000);
+    for (const int samples : {1, 2, 3, 4, 5}) {
+        INFO("samples " << samples);
+        const ShadowOptions options = samplesOf(samples);
+        const std::vector<float> batch = answers(map, light, points, options);
+        std::vector<float> alone;
+        for (std::size_t i = 0; i < points.size(); ++i)
+            alone.push_back(
+                shadowFactor(map, light, points.at[i], points.normal[i], options));
+        CHECK(different(alone, batch) == 0);
+        Points fewer = points;
+        fewer.at.resize(17), fewer.normal.resize(17);
+        const std::vector<float> few = answers(map, light, fewer, options);
+        CHECK(same(few, {batch.begin(), batch.begin() + 17}));
     }
 }
 

@@ -105,7 +105,8 @@ std::vector<ShadowRay> raysFrom(const std::vector<glm::dvec3>& points) {
 
 }  // namespace
 
-TEST_CASE("queries that run out of memory anywhere are answered ray by ray", "[shadow]") {
+TEST_CASE("queries that run out of memory anywhere are answered ray by ray",
+          "[shadow][threads]") {
     for (const bool opaque : {true, false}) {
         const auto make = [&] { return halfPlane(opaque); };
         const std::size_t count = 300;

@@ -157,3 +157,15 @@ TEST_CASE("a query refuses pixels of no or too many points", "[shadow][bad-input
     options.pointsPerPixel = kMaxPointsPerPixel;
     CHECK(checkQuery(map, map.info().light, options));
 }
+
+TEST_CASE("single queries share no pixel", "[shadow]") {
+    const ShadowMap map = halfPlane();
+    ShadowOptions options, shared;
+    options.samples = shared.samples = 4;
+    shared.pointsPerPixel = 16;
+    for (int i = 0; i < 100; ++i) {
+        const glm::dvec3 point(-0.3 + 0.006 * i, 0.01, -kReceiverZ);
+        CHECK(shadowFactor(map, map.info().light, point, {}, shared) ==
+              shadowFactor(map, map.info().light, point, {}, options));
+    }
+}

@@ -167,7 +167,7 @@ TEST_CASE("fog takes from a ray by its way, in a cube's faces too", "[shadow][ex
 }
 
 TEST_CASE("a ray is answered the same alone, in a batch and in any order",
-          "[shadow][exact]") {
+          "[shadow][exact][threads]") {
     Random random(3);
     const ShadowMap maps[] = {fogMap({plainProjection(48, 48)}, 48),
                               fogMap(cubeProjections(16), 16), ballsMap(64)};

@@ -62,7 +62,8 @@ struct BakeOptions {
     std::optional<std::uint32_t> layers;
     /// Bound on |V - V'| along the centre ray that compression may introduce, in [0, 1];
     /// 0 keeps every sample as it is. A voxel is as many samples as that needs: one for
-    /// each two thirds of it (of 0: for each 0.01) that the voxel takes of the light.
+    /// each two thirds of it (of 0: for each 0.01, at least for each 0.0005) that the
+    /// voxel takes of the light.
     float tolerance = 0.005f;
     /// Bounds on what one layer of several samples may hold, so that rays across the
     /// centre ray are right too: its optical depth, and its length in pixel footprints.

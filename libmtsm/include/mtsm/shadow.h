@@ -12,7 +12,8 @@
 // if it was for the trees, so do the map's later queries).
 //
 // The same map, point, light and seed give the same light samples on any machine, and on
-// one machine the same answer alone or in a batch, for any number of threads. From kind
+// one machine the same answer alone or in a batch (unless points share pixels), for any
+// number of threads. From kind
 // of processor to kind of processor (and C library) what rays meet is rounded
 // differently in the last bits: a ray that passes an edge that closely may be met on one
 // and not on the other.
@@ -114,7 +115,8 @@ struct ShadowOptions {
     int firstSamples = 16;  ///< of those two: that every point takes, in groups of 16
     /// A pixel has up to so many points, 1..kMaxPointsPerPixel, which share its samples:
     /// each takes a part of `samples` times as many, so that their mean errs less than
-    /// that of points which know nothing of each other. Batches only.
+    /// that of points which know nothing of each other. Batches only, and large ones:
+    /// each makes the samples of some pixels first.
     int pointsPerPixel = 1;
     /// [point], if pointsPerPixel > 1: the pixel's number times pointsPerPixel plus the
     /// point's number in it. Null: points of a pixel follow each other in the batch.
