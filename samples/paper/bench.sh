@@ -113,11 +113,12 @@ methods() {
     character | bumpy | palm | mesh) near='"none", "auto"' further="4096, 8192" ;;
     fur) resolutions="256, $resolutions" near='"none", "auto"' further="4096" ;;
     cards) resolutions="256, $resolutions" near='"none", "auto"' ;;
-    smoke) resolutions="64, 128, 256, 512, 1024" ;; # of 128 x 128 x 128 voxels
+    smoke) resolutions="64, 128, 256, 512" ;; # of 128 x 128 x 128 voxels
     giant-*) resolutions="2048" paper=2048 embree="1, 4, 16, 64, 256" ;;
     esac
     if [ -n "$quick" ]; then
-        resolutions=${resolutions%, 2048} further="" counts="1, 4, 16, 64, 256" embree="1, 4, 16, 64, 256"
+        resolutions=${resolutions%, 2048} resolutions=${resolutions%, 512} further=""
+        counts="1, 2, 4, 8, 16, 64, 256" embree="1, 4, 16, 64, 256"
     fi
     cat <<END
 [[method]]
