@@ -508,8 +508,9 @@ class Merger {
             const auto k = std::size_t(std::countr_zero(whole));
             const Slab<kChannels>& slab = *fronts[k];
             const float thickest = open.thickest + share * slab.thickest();
+            const float together = isRest(open, slab, k) ? open.end : open.together;
             if (open.high > open.low &&
-                ((thickest > limits_.depth && slab.high > open.together) ||
+                ((thickest > limits_.depth && slab.high > together) ||
                  slab.high > open.end)) {
                 close(open, share, out);
             } else {
@@ -533,6 +534,18 @@ class Merger {
         float moment = 0.0f;    // of that, about `low`
         std::array<std::array<float, kChannels>, 4> depth{};  // [child][channel]
     };
+
+    /// Is a child dark here of which nothing is in the open slab yet? A strand that leads
+    /// towards the light fills one child after another: apart, the slabs would let
+    /// through what each leaves of the whole texel.
+    bool isRest(const Open& open, const Slab<kChannels>& slab, std::size_t k) const {
+        float before = 0.0f, least = kDarkDepth;
+        for (std::uint32_t c = 0; c < kChannels; ++c) {
+            before = std::max(before, open.depth[k][c]);
+            least = std::min(least, slab.depth[c]);
+        }
+        return before == 0.0f && least >= limits_.depth;
+    }
 
     void begin(Open& open, float at) const {
         open = {};

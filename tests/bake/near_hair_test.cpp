@@ -401,3 +401,55 @@ TEST_CASE("strands wider than a pixel let through what is between them",
         }
     }
 }
+
+TEST_CASE("a strand that leads towards the light lets nothing through",
+          "[bake][statistical]") {
+    Hair blade;
+    constexpr double kHalf = 0.005, kTop = 0.4;
+    blade.strand({{0, 0, 0}, {0, float(kTop), 0}}, float(2 * kHalf), 1.0f);
+    BakeOptions o;
+    o.light.shape = LightShape::sphere;
+    o.light.radius = 0.1;
+    o.nearField = kAutomaticNearField;
+    std::vector<glm::dvec3> points;  // along its shadow, 25 and 45 degrees from the light
+    for (int i = 1; i <= 60; ++i)
+        points.emplace_back(-0.001 * i, 0.0, -0.001 * i);
+    const std::vector<glm::dvec3> up(points.size(), glm::dvec3(0, 1, 0));
+    for (const glm::dvec3 position : {glm::dvec3(1, 3, 1), glm::dvec3(2, 3, 2)}) {
+        o.light.position = position;
+        // A ray is blocked if it passes the middle line by less than half a width: the
+        // line is x = z = 0, so what counts is how it passes that from above.
+        double expected = 0.0;
+        Random random(4);
+        constexpr int kRays = 20'000;
+        for (int ray = 0; ray < kRays; ++ray) {
+            const glm::dvec3 p = points[std::size_t(ray) % points.size()];
+            glm::dvec3 d;
+            do
+                d = {random.in(-1, 1), random.in(-1, 1), random.in(-1, 1)};
+            while (glm::length(d) > 1.0);
+            d = position + 0.1 * glm::normalize(d) - p;
+            const double t = -(p.x * d.x + p.z * d.z) / (d.x * d.x + d.z * d.z);
+            const double away = std::hypot(p.x + t * d.x, p.z + t * d.z);
+            expected += t > 0.0 && away < kHalf && p.y + t * d.y < kTop;
+        }
+        expected /= kRays;
+        for (const std::uint32_t resolution : {64u, 256u, 512u}) {
+            o.width = o.height = resolution;
+            const Baked baked = mustBake({blade.view()}, o);
+            REQUIRE(!baked.map.nearHair(0).empty());
+            for (const int samples : {64, 1024}) {
+                ShadowOptions query;
+                query.samples = samples;
+                std::vector<float> dark(points.size());
+                shadowFactors(baked.map, o.light, points.data(), up.data(), points.size(),
+                              dark.data(), query);
+                double mean = 0.0;
+                for (const float d : dark)
+                    mean += d / double(points.size());
+                INFO(position.x << " at " << resolution << ", " << samples << " samples");
+                CHECK(mean == Approx(expected).margin(0.03));
+            }
+        }
+    }
+}
