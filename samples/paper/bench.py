@@ -166,7 +166,7 @@ def memory(scenes):
         embree = bytes_of(s.find("embree", light, mode="fixed", samples=256))
         own = [bytes_of(s.map(light, layers=layers, samples=256, **{"near-field": n}))
                for layers in (0, 5) for n in ("none", "auto")]
-        row(s.name, f"{1e-6 * embree:.1f}",
+        row(s.name, f"{1e-6 * embree:.1f}" if embree else "-",
             *(f"{1e-6 * o:.1f} ({times(ratio(embree, o))})" if o else "-" for o in own))
     print()
 
