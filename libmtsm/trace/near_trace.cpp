@@ -397,7 +397,7 @@ std::uint32_t Walk::trianglesFor(int lane, const Triangles& triangles) const {
 /// the one around the receiver's rays.
 Mask Walk::inBox(int lane, const Triangles& triangles, std::size_t t) const {
     const Floats d;
-    Mask may = hn::Le(hn::Load(d, triangles.low[0] + t), hn::Set(d, high_[0][lane]));
+    Mask may = maskOf(kAll);
     for (int axis = 0; axis < 3; ++axis) {
         may = hn::And(may, hn::Le(hn::Load(d, triangles.low[axis] + t),
                                   hn::Set(d, high_[axis][lane])));

@@ -1,6 +1,6 @@
 // The boxes are walked with the rays of all receivers together: each receiver's rays lie
 // in a pyramid, and as many receivers as a vector has lanes are compared with a box at
-// once; a few rays' pyramid is their own, of more it is that of all of the light. Chunks
+// once; a receiver's pyramid is what its bundle says of its rays. Chunks
 // that some may meet wait until sixteen are together: most of what is asked of them is
 // answered with no, which is told of all without a branch. In each the receiver's pyramid
 // is compared with sixteen boxes of triangles, then with the planes through their edges;
@@ -240,7 +240,6 @@ class Walk {
 
     void bound(int receiver, float highest);
     void boundWide(int receiver);
-    void narrow(int receiver);
     [[nodiscard]] bool anyOpen(int receiver) const;
     void node(std::size_t level, std::size_t index, std::uint32_t lanes);
     [[nodiscard]] std::uint32_t childrenFor(const NearBoxes& boxes) const;
@@ -304,7 +303,6 @@ void Walk::bound(int receiver, float highest) {
     } else {
         lowU_[r] = rays_.slopeLowU[r], highU_[r] = rays_.slopeHighU[r];
         lowV_[r] = rays_.slopeLowV[r], highV_[r] = rays_.slopeHighV[r];
-        narrow(r);
         rise_[r] = std::max(0.0f, std::min(rays_.rise[r], highest - rays_.w[r]));
         rise_[r] += kMargin * rise_[r];
         const float start[3] = {rays_.u[r], rays_.v[r], rays_.w[r]};
@@ -348,25 +346,6 @@ void Walk::boundWide(int receiver) {
             }
         }
     }
-}
-
-/// Few rays have slopes of their own, which are less than those of all of the light.
-void Walk::narrow(int receiver) {
-    constexpr int kFew = 4;
-    const int row = rays_.row(receiver, 0);
-    std::uint32_t open = rays_.open[row];
-    if (rays_.groups > 1 || std::popcount(open) > kFew) return;
-    float slopes[4] = {kInfinity, -kInfinity, kInfinity, -kInfinity};
-    for (; open; open &= open - 1) {
-        const int i = std::countr_zero(open);
-        const float du = rays_.du[row][i], dv = rays_.dv[row][i], dw = rays_.dw[row][i];
-        if (!(dw > 1e-20f * std::max(std::abs(du), std::abs(dv)))) return;
-        const float u = du / dw, v = dv / dw;
-        slopes[0] = std::min(slopes[0], u), slopes[1] = std::max(slopes[1], u);
-        slopes[2] = std::min(slopes[2], v), slopes[3] = std::max(slopes[3], v);
-    }
-    lowU_[receiver] = slopes[0], highU_[receiver] = slopes[1];
-    lowV_[receiver] = slopes[2], highV_[receiver] = slopes[3];
 }
 
 void Walk::node(std::size_t level, std::size_t index, std::uint32_t lanes) {

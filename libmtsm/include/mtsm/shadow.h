@@ -13,10 +13,9 @@
 //
 // The same map, point, light and seed give the same light samples on any machine, and on
 // one machine the same answer alone or in a batch (unless points share pixels), for any
-// number of threads. From kind
-// of processor to kind of processor (and C library) what rays meet is rounded
-// differently in the last bits: a ray that passes an edge that closely may be met on one
-// and not on the other.
+// number of threads. From kind of processor to kind of processor (and C library) what
+// rays meet is rounded differently in the last bits: a ray that passes an edge that
+// closely may be met on one and not on the other.
 //
 // What the bias does: a layer is met within the bias of its depth, so that no ray slips
 // between two pixels of a tilted surface; and without a normal, rays start five biases
