@@ -535,8 +535,8 @@ class Merger {
         std::array<std::array<float, kChannels>, 4> depth{};  // [child][channel]
     };
 
-    /// Is a child dense here of which nothing is in the open slab yet? A strand that leads
-    /// towards the light fills one child after another: apart, the slabs would let
+    /// Is a child dense here of which nothing is in the open slab yet? A strand that
+    /// leads towards the light fills one child after another: apart, the slabs would let
     /// through what each leaves of the whole texel.
     bool isRest(const Open& open, const Slab<kChannels>& slab, std::size_t k) const {
         float before = 0.0f, least = kDarkDepth;
