@@ -7,6 +7,7 @@
 #include <glm/geometric.hpp>
 #include <glm/matrix.hpp>
 
+#include "base/bits.h"
 #include "base/sampling.h"
 #include "shadow/map_faces.h"
 #include "shadow/pixel_share.h"
@@ -546,18 +547,23 @@ void BundleQuery::addUp(Rays& rays, const std::uint16_t* valid, bool weights,
     const int rows = rays.bundle.receivers * rays.bundle.groups;
     const RayFates& fates = rays.fates;
     if (opaque_) {
-        for (int row = 0; row < rows; ++row) {
-            const std::uint32_t left = rays.bundle.open[row] | fates.clear[row];
-            Sums& s = sums[row / rays.bundle.groups];
-            s.visible +=
-                weights ? sum(left, fates.weight[row]) : float(std::popcount(left));
-            if (left) s.most = 1.0f;
-            if (left != valid[row]) s.least = 0.0f;
-            if (errors_ && left) {
-                s.seen.sum += float(std::popcount(left));
-                s.seen.squares = s.seen.sum;
-                if (left != valid[row]) s.seen.spread += spreadOf(left, valid[row]);
+        for (int receiver = 0; receiver < rays.bundle.receivers; ++receiver) {
+            Sums& s = sums[receiver];
+            float visible = s.visible.x;
+            for (int group = 0; group < rays.bundle.groups; ++group) {
+                const int row = rays.bundle.row(receiver, group);
+                const auto left = std::uint16_t(rays.bundle.open[row] | fates.clear[row]);
+                const auto lit = float(base::countBits(left));
+                visible += weights ? sum(left, fates.weight[row]) : lit;
+                if (left) s.most = 1.0f;
+                if (left != valid[row]) s.least = 0.0f;
+                if (errors_ && left) {
+                    s.seen.sum += lit;
+                    s.seen.squares = s.seen.sum;
+                    if (left != valid[row]) s.seen.spread += spreadOf(left, valid[row]);
+                }
             }
+            s.visible = glm::vec3(visible);
         }
         return;
     }
@@ -708,7 +714,7 @@ void BundleQuery::look(const Receiver* receivers, int count, int step, Sums* sum
     const int begin = groupsOf(steps_.first(step)), end = groupsOf(steps_.end[step]);
     // Near media are looked at once for all rays of a receiver in a bundle; the way
     // through layers is each ray's own.
-    const int most = std::max(trace::kMostRows / std::max(end - begin, 1), 1);
+    const int most = std::max(trace::kMostMediaRows / std::max(end - begin, 1), 1);
     if (!opaque_ && count > most) {
         for (int first = 0; first < count; first += most)
             look(receivers + first, std::min(most, count - first), step, sums + first,
@@ -730,20 +736,27 @@ void BundleQuery::look(const Receiver* receivers, int count, int step, Sums* sum
 
     Rays rays;
     std::uint16_t valid[trace::kMostRows];
-    const int atOnce = trace::kMostRows / count;
+    const int mostRows =
+        opaque_ && faces_.size() == 1 ? trace::kMostRows : trace::kMostMediaRows;
+    const int atOnce = std::min(trace::kMostGroups, mostRows / count);
     for (int i = 0; i < count; ++i)
         sums[i].seen.spread = 0.0f;
     for (int first = begin; first < end; first += atOnce) {
         light.fill(lanes, first, std::min(atOnce, end - first), rays.bundle, rays.fates);
         const int groups = rays.bundle.groups, rows = count * groups;
-        for (int row = 0; row < rows; ++row) {
-            const int left = int(samples_) - (first + row % groups) * trace::kLanes;
-            valid[row] = std::uint16_t((1u << std::min(left, trace::kLanes)) - 1);
-            const std::uint32_t counted = rays.bundle.open[row] | rays.fates.clear[row];
-            stats.rays += std::uint64_t(std::popcount(counted));
-            Sums& s = sums[row / groups];
-            s.above = s.above || counted != 0;
-            s.total = weights ? s.total + sum(counted, rays.fates.weight[row]) : -1.0f;
+        for (int receiver = 0; receiver < count; ++receiver) {
+            Sums& s = sums[receiver];
+            if (!weights) s.total = -1.0f;
+            for (int group = 0; group < groups; ++group) {
+                const int row = rays.bundle.row(receiver, group);
+                const int left = int(samples_) - (first + group) * trace::kLanes;
+                valid[row] = std::uint16_t((1u << std::min(left, trace::kLanes)) - 1);
+                const std::uint32_t counted =
+                    rays.bundle.open[row] | rays.fates.clear[row];
+                stats.rays += std::uint64_t(base::countBits(std::uint16_t(counted)));
+                s.above = s.above || counted != 0;
+                if (weights) s.total += sum(counted, rays.fates.weight[row]);
+            }
         }
         if (!opaque_) {
             for (int row = 0; goBeyond && row < rows; ++row) {

@@ -120,7 +120,7 @@ class BundleQuery {
         trace::RayBundle bundle;
         RayFates fates;
         /// [row]: rays whose depths count.
-        std::uint16_t followed[trace::kMostRows];
+        std::uint16_t followed[trace::kMostMediaRows];
         trace::RayDepths depths;
     };
 

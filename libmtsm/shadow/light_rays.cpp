@@ -40,7 +40,7 @@ namespace mtsm::shadow::HWY_NAMESPACE {
 namespace lanes = trace::HWY_NAMESPACE;
 namespace hn = hwy::HWY_NAMESPACE;
 
-using lanes::bitsOf, lanes::fusedDot, lanes::reciprocal;
+using lanes::bitsOf, lanes::fusedDot, lanes::maskOf, lanes::reciprocal;
 using lanes::Floats, lanes::Vec, lanes::Vec3;
 using trace::kLanes;
 using Bits = hn::RebindToUnsigned<Floats>;
@@ -103,7 +103,6 @@ class Starts {
         hn::Store(start_.z, kF, bundle.w + first);
         if (in.normals) setPlanes();
         setSlopes();
-        if (in.groups > 1) setGroups();
     }
 
   private:
@@ -143,63 +142,26 @@ class Starts {
     struct Slopes {
         Vec lowU, highU, lowV, highV;
         MaskF towardsEye;
-
-        static Slopes none() {
-            const Vec never = constant(HUGE_VALF);
-            return {never, hn::Neg(never), never, hn::Neg(never), hn::Eq(never, never)};
-        }
     };
 
-    /// The box around a piece of a cap (light::sampleCap): a point at distance r from the
-    /// disk's centre is sqrt(h (2 - r^2 h)) times as far from the axis and r^2 h below
-    /// the summit, h being the cap's height.
-    void capBounds(const LightRays::Piece& piece, Vec& lowX, Vec& highX, Vec& lowY,
-                   Vec& highY, Vec (&heights)[2]) const {
-        const auto nearest = [](float low, float high) {
-            return std::max(0.0f, std::max(low, -high));
-        };
-        const auto furthest = [](float low, float high) { return std::max(-low, high); };
-        const auto square = [](float x, float y) {
-            return constant(std::min(1.0f, x * x + y * y));
-        };
-        const Vec r2[2] = {
-            square(nearest(piece.lowA, piece.highA), nearest(piece.lowB, piece.highB)),
-            square(furthest(piece.lowA, piece.highA), furthest(piece.lowB, piece.highB))};
-        Vec scales[2];
-        for (int i = 0; i < 2; ++i) {
-            heights[i] = hn::Mul(r2[i], capHeight_);
-            const Vec left = hn::Sub(constant(2.0f), heights[i]);
-            scales[i] = hn::Sqrt(hn::Max(hn::Zero(kF), hn::Mul(capHeight_, left)));
-        }
-        // Nothing is further from the axis than the rim, or the sphere's equator.
-        const Vec h = hn::Min(capHeight_, constant(1.0f));
-        const Vec rim = hn::Sqrt(hn::Mul(h, hn::Sub(constant(2.0f), h)));
-        const auto bound = [&](Vec& low, Vec& high) {
-            const Vec zero = hn::Zero(kF);
-            low = hn::Mul(low, hn::IfThenElse(hn::Lt(low, zero), scales[0], scales[1]));
-            high =
-                hn::Mul(high, hn::IfThenElse(hn::Lt(high, zero), scales[1], scales[0]));
-            low = hn::Max(low, hn::Neg(rim));
-            high = hn::Min(high, rim);
-        };
-        bound(lowX, highX);
-        bound(lowY, highY);
-    }
-
-    /// Adds those of rays to a piece of the light, corners included: (a, b) from low to
-    /// high, of the light's square or of the square around its disk.
-    void addSlopes(const LightRays::Piece& piece, Slopes& slopes) const {
-        Vec lowX = constant(piece.lowA), highX = constant(piece.highA);
-        Vec lowY = constant(piece.lowB), highY = constant(piece.highB);
+    /// Of the light's square, or of the square around its disk; of a cap
+    /// (light::sampleCap) of the box around it, from its summit down: no wider than its
+    /// rim or the sphere.
+    Slopes slopesOf() const {
+        const Vec never = constant(HUGE_VALF);
+        Slopes slopes{never, hn::Neg(never), never, hn::Neg(never), hn::Eq(never, never)};
         const bool cap = in_.domain == light::LightView::Domain::cap;
-        Vec heights[2];  // of a cap: from its summit down
-        if (cap) capBounds(piece, lowX, highX, lowY, highY, heights);
+        Vec side = constant(1.0f);
+        if (cap) {
+            const Vec h = hn::Min(capHeight_, side);
+            side = hn::Sqrt(hn::Mul(h, hn::Sub(constant(2.0f), h)));
+        }
         for (int plane = 0; plane < (cap ? 2 : 1); ++plane) {
+            const Vec below = plane == 0 ? hn::Zero(kF) : capHeight_;
             const Vec3 middle =
-                cap ? along(base_, hn::Sub(constant(1.0f), heights[plane]), axisZ_)
-                    : base_;
-            for (const Vec x : {lowX, highX}) {
-                for (const Vec y : {lowY, highY}) {
+                cap ? along(base_, hn::Sub(constant(1.0f), below), axisZ_) : base_;
+            for (const Vec x : {hn::Neg(side), side}) {
+                for (const Vec y : {hn::Neg(side), side}) {
                     const Vec3 end = along(along(middle, x, axisX_), y, axisY_);
                     slopes.towardsEye =
                         hn::And(slopes.towardsEye, hn::Lt(end.z, hn::Zero(kF)));
@@ -226,6 +188,7 @@ class Starts {
         };
         grow(slopes.lowU, slopes.highU, position_.x, std::abs(view_.scaleU));
         grow(slopes.lowV, slopes.highV, position_.y, std::abs(view_.scaleV));
+        return slopes;
     }
 
     /// Of the light, in slopes.
@@ -248,8 +211,7 @@ class Starts {
     }
 
     void setSlopes() {
-        Slopes slopes = Slopes::none();
-        addSlopes({-1.0f, 1.0f, -1.0f, 1.0f}, slopes);
+        const Slopes slopes = slopesOf();
         // Rays that lead along the map or away from the eye have no bounds.
         const MaskF bounded = slopes.towardsEye;
         const auto keep = [&](Vec value, float* to) {
@@ -286,29 +248,6 @@ class Starts {
         hn::Store(hn::IfThenElseZero(bounded, widths), kF, widest);
         for (int i = 0; i < kN; ++i)
             bundle_.topLevel[first_ + i] = levelOf(widest[i]);
-    }
-
-    void setGroups() {
-        for (int group = 0; group < in_.groups; ++group) {
-            Slopes slopes = Slopes::none();
-            addSlopes(in_.points.groups[std::size_t(in_.firstGroup + group)], slopes);
-            hn::Store(slopes.lowU, kF, bundle_.partLowU[group] + first_);
-            hn::Store(slopes.highU, kF, bundle_.partHighU[group] + first_);
-            hn::Store(slopes.lowV, kF, bundle_.partLowV[group] + first_);
-            hn::Store(slopes.highV, kF, bundle_.partHighV[group] + first_);
-            const auto include = [&](float& low, float& high, Vec lower, Vec higher) {
-                low = std::min(low, hn::GetLane(hn::MinOfLanes(kF, lower)));
-                high = std::max(high, hn::GetLane(hn::MaxOfLanes(kF, higher)));
-            };
-            if (first_ == 0) {
-                bundle_.groupLowU[group] = bundle_.groupLowV[group] = HUGE_VALF;
-                bundle_.groupHighU[group] = bundle_.groupHighV[group] = -HUGE_VALF;
-            }
-            include(bundle_.groupLowU[group], bundle_.groupHighU[group], slopes.lowU,
-                    slopes.highU);
-            include(bundle_.groupLowV[group], bundle_.groupHighV[group], slopes.lowV,
-                    slopes.highV);
-        }
     }
 
     /// The first level whose tiles are as wide.
@@ -662,6 +601,65 @@ void fillFew(const FillInput& in, int each, trace::RayBundle& bundle, RayFates& 
     boundFew(in.at.count, each, bundle);
 }
 
+/// The least of each of four vectors.
+HWY_INLINE void leastOf(Vec a, Vec b, Vec c, Vec d, float (&least)[4]) {
+#if HWY_TARGET == HWY_SCALAR
+    const Vec all[] = {a, b, c, d};
+    for (int i = 0; i < 4; ++i)
+        least[i] = hn::GetLane(all[i]);
+#else
+    // Halves of each two in a vector, then quarters of all four.
+    const auto halves = [](Vec x, Vec y) {
+        return hn::Min(hn::InterleaveLower(kF, x, y), hn::InterleaveUpper(kF, x, y));
+    };
+    const hn::Repartition<std::uint64_t, Floats> pairs;
+    const auto ab = hn::BitCast(pairs, halves(a, b));
+    const auto cd = hn::BitCast(pairs, halves(c, d));
+    const Vec quarters = hn::Min(hn::BitCast(kF, hn::InterleaveLower(pairs, ab, cd)),
+                                 hn::BitCast(kF, hn::InterleaveUpper(pairs, ab, cd)));
+    alignas(64) float parts[kN];
+    hn::Store(quarters, kF, parts);
+    for (int i = 0; i < 4; ++i)
+        least[i] = parts[i];
+    for (int k = 4; k < kN; ++k)
+        least[k % 4] = std::min(least[k % 4], parts[k]);
+#endif
+}
+
+/// What the rays of each row go sideways: half of what their part of the light may have.
+void boundRows(trace::RayBundle& bundle) {
+    const Vec never = constant(HUGE_VALF);
+    for (int group = 0; group < bundle.groups; ++group)
+        bundle.clearGroup(group);
+    for (int receiver = 0; receiver < bundle.receivers; ++receiver) {
+        for (int group = 0; group < bundle.groups; ++group) {
+            const int row = bundle.row(receiver, group);
+            Vec u = never, v = never, minusU = never, minusV = never;
+            for (int i = 0; i < kLanes; i += kN) {
+                const Vec dw = hn::Load(kF, bundle.dw[row] + i);
+                const Vec per = reciprocal(dw);
+                const Vec du = hn::Mul(hn::Load(kF, bundle.du[row] + i), per);
+                const Vec dv = hn::Mul(hn::Load(kF, bundle.dv[row] + i), per);
+                // One that rises by nothing meets nothing, unless its receiver is wide.
+                const MaskF open = hn::And(maskOf(std::uint32_t(bundle.open[row]) >> i),
+                                           hn::Gt(dw, constant(0x1p-124f)));
+                u = hn::Min(u, hn::IfThenElse(open, du, never));
+                v = hn::Min(v, hn::IfThenElse(open, dv, never));
+                minusU = hn::Min(minusU, hn::IfThenElse(open, hn::Neg(du), never));
+                minusV = hn::Min(minusV, hn::IfThenElse(open, hn::Neg(dv), never));
+            }
+            float least[4];
+            leastOf(u, minusU, v, minusV, least);
+            if (bundle.open[row] != 0) {
+                // What a slope is rounded by, many times.
+                for (float& x : least)
+                    x -= std::abs(x) * 0x1p-18f + 0x1p-80f;
+            }
+            bundle.boundRow(receiver, group, {least[0], -least[1], least[2], -least[3]});
+        }
+    }
+}
+
 /// All the rays of each receiver in turn.
 void fillMany(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
     for (int receiver = 0; receiver < in.at.count; ++receiver) {
@@ -677,6 +675,7 @@ void fillMany(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
             fates.clear[row] &= std::uint16_t((1u << left) - 1);
         }
     }
+    if (in.groups > 1) boundRows(bundle);
 }
 
 void fill(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
@@ -743,8 +742,6 @@ LightRays::Points makePoints(const LightRays::Setting& setting,
         points.onlyOne ? 1u
                        : LightRays::patterns(setting.samples, setting.pointsPerPixel);
     points.each = (setting.samples + trace::kLanes - 1) / trace::kLanes * trace::kLanes;
-    const LightRays::Piece none{HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF};
-    points.groups.assign(points.each / trace::kLanes, none);
     for (std::uint32_t p = 0; p < patterns; ++p) {
         const std::uint32_t number = setting.onlyPattern.value_or(p);
         for (const glm::dvec2 sample : pattern(number, setting.seed, setting.steps)) {
@@ -757,13 +754,6 @@ LightRays::Points makePoints(const LightRays::Setting& setting,
         }
         points.a.resize(std::size_t(p + 1) * points.each, points.a.back());
         points.b.resize(std::size_t(p + 1) * points.each, points.b.back());
-        for (std::size_t i = 0; i < points.each; ++i) {
-            const float a = points.a[p * points.each + i];
-            const float b = points.b[p * points.each + i];
-            LightRays::Piece& piece = points.groups[i / trace::kLanes];
-            piece.lowA = std::min(piece.lowA, a), piece.highA = std::max(piece.highA, a);
-            piece.lowB = std::min(piece.lowB, b), piece.highB = std::max(piece.highB, b);
-        }
     }
     return points;
 }

@@ -49,8 +49,8 @@ struct RayFates {
     alignas(64) float weight[trace::kMostRows][trace::kLanes];
     /// [axis][row][lane], [row][lane]: if asked for, a ray's way to the light in light
     /// space, and how much of that way it is followed.
-    alignas(64) float delta[3][trace::kMostRows][trace::kLanes];
-    alignas(64) float way[trace::kMostRows][trace::kLanes];
+    alignas(64) float delta[3][trace::kMostMediaRows][trace::kLanes];
+    alignas(64) float way[trace::kMostMediaRows][trace::kLanes];
 };
 
 class LightRays {
@@ -106,17 +106,12 @@ class LightRays {
     void fill(const ReceiverLanes& receivers, int first, int groups,
               trace::RayBundle& bundle, RayFates& fates) const noexcept;
 
-    /// A piece of the light: of LightView's square, or of the square around its disk.
-    struct Piece {
-        float lowA, highA, lowB, highB;
-    };
     /// Points on the light, all sequences, [pattern][16 groups]: of LightView's square or
-    /// disk; and the pieces in which those of a group lie, whatever the sequence.
+    /// disk.
     struct Points {
         bool onlyOne = false;  ///< whatever a receiver's number says
         std::uint32_t each = 0;
         std::vector<float> a, b;
-        std::vector<Piece> groups;
     };
     /// The face, in float.
     struct View {

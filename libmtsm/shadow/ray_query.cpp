@@ -264,7 +264,7 @@ class RayQuery::Bundle {
   private:
     [[nodiscard]] bool full() const {
         return bundle_.receivers == trace::kMostReceivers ||
-               (bundle_.receivers + 1) * bundle_.groups > trace::kMostRows;
+               (bundle_.receivers + 1) * bundle_.groups > trace::kMostMediaRows;
     }
 
     void setRow(int receiver, int group, const Piece* pieces, int count) {
@@ -302,29 +302,16 @@ class RayQuery::Bundle {
         slopes_[group] = {lowU, highU, lowV, highV};
     }
 
-    struct Slopes {
-        float lowU, highU, lowV, highV;
-    };
-
     void setSlopes(int receiver) {
-        Slopes all{HUGE_VALF, -HUGE_VALF, HUGE_VALF, -HUGE_VALF};
+        trace::RayBundle::Slopes all;
         for (int group = 0; group < bundle_.groups; ++group) {
-            const Slopes& s = slopes_[group];
-            all.lowU = std::min(all.lowU, s.lowU),
+            const trace::RayBundle::Slopes& s = slopes_[group];
+            all.lowU = std::min(all.lowU, s.lowU);
             all.highU = std::max(all.highU, s.highU);
-            all.lowV = std::min(all.lowV, s.lowV),
+            all.lowV = std::min(all.lowV, s.lowV);
             all.highV = std::max(all.highV, s.highV);
-            const bool isFirst = receiver == 0;
-            const auto include = [isFirst](float& low, float& high, float a, float b) {
-                low = isFirst ? a : std::min(low, a);
-                high = isFirst ? b : std::max(high, b);
-            };
-            bundle_.partLowU[group][receiver] = s.lowU;
-            bundle_.partHighU[group][receiver] = s.highU;
-            bundle_.partLowV[group][receiver] = s.lowV;
-            bundle_.partHighV[group][receiver] = s.highV;
-            include(bundle_.groupLowU[group], bundle_.groupHighU[group], s.lowU, s.highU);
-            include(bundle_.groupLowV[group], bundle_.groupHighV[group], s.lowV, s.highV);
+            if (receiver == 0) bundle_.clearGroup(group);
+            bundle_.boundRow(receiver, group, s);
         }
         bundle_.slopeLowU[receiver] = all.lowU, bundle_.slopeHighU[receiver] = all.highU;
         bundle_.slopeLowV[receiver] = all.lowV, bundle_.slopeHighV[receiver] = all.highV;
@@ -348,7 +335,7 @@ class RayQuery::Bundle {
 
     void followOpaque() {
         const int rows = bundle_.receivers * bundle_.groups;
-        std::uint16_t open[trace::kMostRows];
+        std::uint16_t open[trace::kMostMediaRows];
         std::copy_n(bundle_.open, rows, open);
         if (!face_.nearField->empty()) {
             trace::traceNear(*face_.nearField, bundle_, nearEnd_, 0.0f);
@@ -365,7 +352,7 @@ class RayQuery::Bundle {
 
     void followDensity() {
         const int rows = bundle_.receivers * bundle_.groups;
-        std::uint16_t open[trace::kMostRows];
+        std::uint16_t open[trace::kMostMediaRows];
         std::copy_n(bundle_.open, rows, open);
         const std::uint32_t channels = query_.map_.info().channels;
         for (std::uint32_t c = 0; c < channels; ++c)
@@ -389,10 +376,10 @@ class RayQuery::Bundle {
     Fate* fates_;
     trace::RayBundle bundle_;
     trace::RayDepths depths_;
-    Slopes slopes_[trace::kMostRows];
-    std::uint32_t rays_[trace::kMostRows][trace::kLanes];
-    alignas(64) float nearEnd_[trace::kMostRows][trace::kLanes];
-    alignas(64) float layersBegin_[trace::kMostRows][trace::kLanes];
+    trace::RayBundle::Slopes slopes_[trace::kMostMediaRows];
+    std::uint32_t rays_[trace::kMostMediaRows][trace::kLanes];
+    alignas(64) float nearEnd_[trace::kMostMediaRows][trace::kLanes];
+    alignas(64) float layersBegin_[trace::kMostMediaRows][trace::kLanes];
 };
 
 void RayQuery::followAll(const Face& face, const ShadowRay* rays, Piece* pieces,

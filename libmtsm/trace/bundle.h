@@ -12,13 +12,18 @@
 // on that, nor on which receivers share a bundle: what a ray meets is decided by its
 // receiver alone.
 #pragma once
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
 
 namespace mtsm::trace {
 
 inline constexpr int kLanes = 16;
 inline constexpr int kMostReceivers = 16;
-inline constexpr int kMostRows = 64;  ///< receivers times groups
+inline constexpr int kMostGroups = 64;
+inline constexpr int kMostRows = 256;  ///< receivers times groups
+/// The same where optical depths are followed, or rays go on in other faces.
+inline constexpr int kMostMediaRows = 64;
 
 struct RayBundle {
     int receivers = 0, groups = 0;
@@ -33,7 +38,7 @@ struct RayBundle {
     /// [row][lane]: what is met at s <= begin does not count.
     alignas(64) float begin[kMostRows][kLanes];
     /// The same for surfaces among media, whose kernel reads both.
-    alignas(64) float beginSurfaces[kMostRows][kLanes];
+    alignas(64) float beginSurfaces[kMostMediaRows][kLanes];
     /// [row]: bit i is set if the ray of lane i is to be followed. Kernels clear the bits
     /// of rays that are blocked.
     std::uint16_t open[kMostRows];
@@ -47,14 +52,39 @@ struct RayBundle {
     std::uint16_t wide = 0;
     /// [receiver]: nothing counts (layers) that rises less than this above the start, w.
     alignas(64) float rise[kMostReceivers];
-    /// [group]: the slopes of the rays of all receivers, if there are several groups.
-    alignas(64) float groupLowU[kMostRows], groupHighU[kMostRows];
-    alignas(64) float groupLowV[kMostRows], groupHighV[kMostRows];
-    /// [group][receiver]: those of one receiver, if there are several groups.
-    alignas(64) float partLowU[kMostRows][kMostReceivers];
-    alignas(64) float partHighU[kMostRows][kMostReceivers];
-    alignas(64) float partLowV[kMostRows][kMostReceivers];
-    alignas(64) float partHighV[kMostRows][kMostReceivers];
+    // If there are several groups (clearGroup, boundRow):
+    /// [group]: slopes of the rays of all receivers that are not wide.
+    alignas(64) float groupLowU[kMostGroups], groupHighU[kMostGroups];
+    alignas(64) float groupLowV[kMostGroups], groupHighV[kMostGroups];
+    /// [group][receiver]: those of one receiver.
+    alignas(64) float partLowU[kMostGroups][kMostReceivers];
+    alignas(64) float partHighU[kMostGroups][kMostReceivers];
+    alignas(64) float partLowV[kMostGroups][kMostReceivers];
+    alignas(64) float partHighV[kMostGroups][kMostReceivers];
+    /// [row]: the same.
+    alignas(64) float rowLowU[kMostRows + kLanes], rowHighU[kMostRows + kLanes];
+    alignas(64) float rowLowV[kMostRows + kLanes], rowHighV[kMostRows + kLanes];
+
+    struct Slopes {
+        float lowU = HUGE_VALF, highU = -HUGE_VALF, lowV = HUGE_VALF, highV = -HUGE_VALF;
+    };
+    /// Of no rays yet.
+    void clearGroup(int group) noexcept {
+        groupLowU[group] = groupLowV[group] = HUGE_VALF;
+        groupHighU[group] = groupHighV[group] = -HUGE_VALF;
+    }
+    void boundRow(int receiver, int group, const Slopes& s) noexcept {
+        const int number = row(receiver, group);
+        partLowU[group][receiver] = rowLowU[number] = s.lowU;
+        partHighU[group][receiver] = rowHighU[number] = s.highU;
+        partLowV[group][receiver] = rowLowV[number] = s.lowV;
+        partHighV[group][receiver] = rowHighV[number] = s.highV;
+        if (wide >> receiver & 1) return;
+        groupLowU[group] = std::min(groupLowU[group], s.lowU);
+        groupHighU[group] = std::max(groupHighU[group], s.highU);
+        groupLowV[group] = std::min(groupLowV[group], s.lowV);
+        groupHighV[group] = std::max(groupHighV[group], s.highV);
+    }
 
     // How coarsely rays may be answered.
     /// [receiver]: distance between neighbouring rays, pixels, per w that they are away

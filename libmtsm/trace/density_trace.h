@@ -63,7 +63,7 @@ struct DensityTraceOptions {
 
 /// [channel][row][lane]; channels that the map does not have stay as they are.
 struct RayDepths {
-    alignas(64) float depth[3][kMostRows][kLanes];
+    alignas(64) float depth[3][kMostMediaRows][kLanes];
 };
 
 /// Adds what the rays of the bundle meet to `depths`, and closes rays that are dark

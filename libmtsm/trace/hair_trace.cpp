@@ -271,9 +271,9 @@ class HairWalk {
     std::uint16_t lastOpacity_ = 0;
     float lastDepth_ = 0.0f;
     /// [row][lane], of receivers in lanesLeft_.
-    alignas(64) float slopeU_[kMostRows][kLanes], slopeV_[kMostRows][kLanes];
-    alignas(64) float met_[kMostRows][kLanes];
-    RowBounds bounds_[kMostRows];  // of receivers in bounded_
+    alignas(64) float slopeU_[kMostMediaRows][kLanes], slopeV_[kMostMediaRows][kLanes];
+    alignas(64) float met_[kMostMediaRows][kLanes];
+    RowBounds bounds_[kMostMediaRows];  // of receivers in bounded_
     std::uint32_t bounded_ = 0;
     CloseSegments close_[kMostReceivers];
     WaitingSegments waiting_[kMostReceivers];
@@ -800,7 +800,7 @@ HairWalk::RowBounds HairWalk::boundsOf(int row) const {
 /// Has the rays of the rows of a receiver meet segments of `found`.
 void HairWalk::cross(int lane, const SeenSegments& seen, std::uint32_t found) {
     const Floats d;
-    std::uint32_t which[kMostRows] = {};
+    std::uint32_t which[kMostMediaRows] = {};
     for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
         // More rows rather than what rounding may hide.
         const Vec rounding = hn::Set(d, 0x1p-16f), one = hn::Set(d, 1.0f + 0x1p-16f);

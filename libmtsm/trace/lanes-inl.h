@@ -11,6 +11,7 @@
 #endif
 
 #include <hwy/highway.h>
+#include <bit>
 #include <cstdint>
 #include <cstring>
 
@@ -27,9 +28,10 @@ using Mask = hn::Mask<Floats>;
 
 /// Bit i is set if lane i is. Not for vectors whose length is known only when run.
 HWY_INLINE std::uint32_t bitsOf(Mask mask) {
-    std::uint8_t bytes[8] = {};
-    hn::StoreMaskBits(Floats(), mask, bytes);
-    return bytes[0] | std::uint32_t(bytes[1]) << 8;
+    static_assert(std::endian::native == std::endian::little);
+    std::uint64_t bits = 0;
+    hn::StoreMaskBits(Floats(), mask, reinterpret_cast<std::uint8_t*>(&bits));
+    return std::uint32_t(bits);
 }
 HWY_INLINE std::uint32_t bitsOf(hn::Mask<Ints> mask) {
     return bitsOf(hn::RebindMask(Floats(), mask));

@@ -5,6 +5,8 @@
 #include <bit>
 #include <cmath>
 
+#include "base/bits.h"
+
 namespace mtsm::trace::patch_detail {
 namespace {
 
@@ -191,7 +193,7 @@ void Coarsening::unite(PixelMask& to, const PixelMask& from) {
     to.covered = 0;
     for (int row = 0; row < kTexels; ++row) {
         to.row[row] |= from.row[row];
-        to.covered = std::uint16_t(to.covered + ones(to.row[row]));
+        to.covered = std::uint16_t(to.covered + base::countBits(to.row[row]));
     }
 }
 
@@ -292,13 +294,6 @@ void Coarsening::includeTexel(Node& node, std::uint32_t column, std::uint32_t ro
     node.high = std::max(node.high, float(w + reach));
 }
 
-std::uint32_t Coarsening::ones(std::uint32_t bits) {
-    bits -= bits >> 1 & 0x5555;
-    bits = (bits & 0x3333) + (bits >> 2 & 0x3333);
-    bits = (bits + (bits >> 4)) & 0x0f0f;
-    return (bits + (bits >> 8)) & 31;
-}
-
 void Coarsening::count(const PixelMask& mask,
                        std::array<std::uint32_t, 256>& counts) const {
     const std::uint32_t texel = side_ / kTexels;
@@ -341,7 +336,7 @@ void Coarsening::countRow(const std::uint16_t* rows, std::uint32_t count,
                           std::uint32_t texel, std::uint32_t weight, std::uint32_t* to) {
     if (texel == kTexels) {
         for (std::uint32_t row = 0; row < count; ++row)
-            *to += weight * ones(rows[row]);
+            *to += weight * std::uint32_t(base::countBits(rows[row]));
         return;
     }
     // Sums of neighbouring texels are kept apart: one of a pair in each half.

@@ -62,8 +62,6 @@ class Coarsening {
     void addCover(Node& node, std::span<const PixelMask> masks, Parts& parts);
     /// Rays meet the plane there.
     void includeTexel(Node& node, std::uint32_t column, std::uint32_t row) const;
-    /// Bits of 16 that are set: std::popcount is a call where processors may lack it.
-    static std::uint32_t ones(std::uint32_t bits);
     /// Adds the covered pixels of each texel.
     void count(const PixelMask& mask, std::array<std::uint32_t, 256>& counts) const;
     /// Of some pixels' rows in a row of texels: adds `weight` for each.

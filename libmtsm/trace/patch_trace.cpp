@@ -512,28 +512,40 @@ class Traversal {
             hn::Store(batch.rise, kF, rises + k);
         }
         std::uint32_t closed = 0;
-        for (std::uint64_t left = groups; left; left &= left - 1) {
-            const int group = std::countr_zero(left);
-            std::uint32_t some = lanes & lanes_;
-            if (bundle_.groups > 1) some &= lanesMet(seen.patch, group);
-            for (; some; some &= some - 1) {
-                const int receiver = std::countr_zero(some);
-                const int row = bundle_.row(receiver, group);
-                batch.u = hn::Set(kF, us[receiver]);
-                batch.v = hn::Set(kF, vs[receiver]);
-                batch.rise = hn::Set(kF, rises[receiver]);
-                for (int k = 0; k < kLanes; k += kN) {
-                    batch.open = (std::uint32_t(bundle_.open[row]) >> k) & kAll;
-                    if (batch.open == 0) continue;
-                    batch.du = hn::Load(kF, bundle_.du[row] + k);
-                    batch.dv = hn::Load(kF, bundle_.dv[row] + k);
-                    batch.dw = hn::Load(kF, bundle_.dw[row] + k);
-                    batch.begin = hn::Load(kF, bundle_.begin[row] + k);
-                    batch.threshold = bundle_.threshold[row] + k;
-                    const std::uint32_t hits = hitsOf<kKind>(seen, batch);
-                    bundle_.open[row] &= std::uint16_t(~(hits << k));
-                    closed |= std::uint32_t(hits == batch.open) << receiver;
-                }
+        const auto testRow = [&](int receiver, int group) {
+            const int row = bundle_.row(receiver, group);
+            batch.u = hn::Set(kF, us[receiver]);
+            batch.v = hn::Set(kF, vs[receiver]);
+            batch.rise = hn::Set(kF, rises[receiver]);
+            for (int k = 0; k < kLanes; k += kN) {
+                batch.open = (std::uint32_t(bundle_.open[row]) >> k) & kAll;
+                if (batch.open == 0) continue;
+                batch.du = hn::Load(kF, bundle_.du[row] + k);
+                batch.dv = hn::Load(kF, bundle_.dv[row] + k);
+                batch.dw = hn::Load(kF, bundle_.dw[row] + k);
+                batch.begin = hn::Load(kF, bundle_.begin[row] + k);
+                batch.threshold = bundle_.threshold[row] + k;
+                const std::uint32_t hits = hitsOf<kKind>(seen, batch);
+                bundle_.open[row] &= std::uint16_t(~(hits << k));
+                closed |= std::uint32_t(hits == batch.open) << receiver;
+            }
+        };
+        lanes &= lanes_;
+        if (std::popcount(lanes) < std::popcount(groups)) {
+            for (std::uint32_t rest = lanes; rest; rest &= rest - 1) {
+                const int receiver = std::countr_zero(rest);
+                std::uint64_t some = groups;
+                if (bundle_.groups > 1) some &= groupsMet(seen.patch, receiver);
+                for (; some; some &= some - 1)
+                    testRow(receiver, std::countr_zero(some));
+            }
+        } else {
+            for (std::uint64_t left = groups; left; left &= left - 1) {
+                const int group = std::countr_zero(left);
+                std::uint32_t some = lanes;
+                if (bundle_.groups > 1) some &= lanesMet(seen.patch, group);
+                for (; some; some &= some - 1)
+                    testRow(std::countr_zero(some), group);
             }
         }
         for (; closed; closed &= closed - 1) {
@@ -608,6 +620,31 @@ class Traversal {
                                 load(bundle_.partLowV[group]),
                                 load(bundle_.partHighV[group]), least, most));
             met |= bitsOf(met16) << k;
+        }
+        return met;
+    }
+
+    /// Groups of the receiver's rays that may meet the patch.
+    std::uint64_t groupsMet(const Patch& p, int receiver) const {
+        if (bundle_.wide >> receiver & 1) return ~std::uint64_t(0);
+        const auto set = [](float x) { return hn::Set(kF, x); };
+        const float w = bundle_.w[receiver];
+        const Vec least = set(std::max(p.low - w, bundle_.rise[receiver]));
+        const Vec most = set(p.high - w);
+        const float halfU = p.halfU + tree_.margin(), halfV = p.halfV + tree_.margin();
+        const float awayU = p.u - bundle_.u[receiver], awayV = p.v - bundle_.v[receiver];
+        const Vec u0 = set(awayU - halfU), u1 = set(awayU + halfU);
+        const Vec v0 = set(awayV - halfV), v1 = set(awayV + halfV);
+        std::uint64_t met = 0;
+        for (int k = 0; k < bundle_.groups; k += kN) {
+            const auto load = [at = bundle_.row(receiver, k)](const float* x) {
+                return hn::LoadU(kF, x + at);
+            };
+            const auto met16 = hn::And(crosses(u0, u1, load(bundle_.rowLowU),
+                                               load(bundle_.rowHighU), least, most),
+                                       crosses(v0, v1, load(bundle_.rowLowV),
+                                               load(bundle_.rowHighV), least, most));
+            met |= std::uint64_t(bitsOf(met16)) << k;
         }
         return met;
     }

@@ -26,7 +26,8 @@ TEST_CASE("rays go sideways within their bundle's bounds, however deep they star
         light.size = {0.3, 0.5};
         const light::LightSampler sampler(light);
         shadow::LightRays::Setting setting;
-        setting.samples = 64;
+        setting.samples = 256;
+        setting.steps = {1, {256}};
         setting.isPoint = sampler.isPoint();
         const shadow::LightRays rays(view, width, width, {4.0f, 4.1f}, sampler, setting);
         for (int trial = 0; trial < 2000; ++trial) {
@@ -72,6 +73,8 @@ TEST_CASE("rays go sideways within their bundle's bounds, however deep they star
                     check(dv, bundle.groupLowV[row], bundle.groupHighV[row]);
                     check(du, bundle.partLowU[row][0], bundle.partHighU[row][0]);
                     check(dv, bundle.partLowV[row][0], bundle.partHighV[row][0]);
+                    check(du, bundle.rowLowU[row], bundle.rowHighU[row]);
+                    check(dv, bundle.rowLowV[row], bundle.rowHighV[row]);
                 }
             }
             INFO(name(shape) << " from " << p.x << " " << p.y << " " << p.z);

@@ -161,21 +161,14 @@ struct Rays {
                               std::abs(bundle.slopeHighV[receiver])));
     }
     void boundGroup(int group) {
-        Bounds bounds;
+        bundle.clearGroup(group);
         for (int receiver = 0; receiver < bundle.receivers; ++receiver) {
             if (bundle.wide >> receiver & 1) continue;
             const Bounds own = boundsOf(bundle.row(receiver, group), {});
-            bundle.partLowU[group][receiver] = lower(own.lowU);
-            bundle.partHighU[group][receiver] = higher(own.highU);
-            bundle.partLowV[group][receiver] = lower(own.lowV);
-            bundle.partHighV[group][receiver] = higher(own.highV);
-            bounds = boundsOf(bundle.row(receiver, group), bounds);
+            bundle.boundRow(
+                receiver, group,
+                {lower(own.lowU), higher(own.highU), lower(own.lowV), higher(own.highV)});
         }
-        if (bounds.lowU > bounds.highU) bounds = {0.0, 0.0, 0.0, 0.0};
-        bundle.groupLowU[group] = lower(bounds.lowU);
-        bundle.groupHighU[group] = higher(bounds.highU);
-        bundle.groupLowV[group] = lower(bounds.lowV);
-        bundle.groupHighV[group] = higher(bounds.highV);
     }
 };
 

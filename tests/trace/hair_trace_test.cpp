@@ -23,8 +23,8 @@ using namespace mtsm;
 using test::onEachTarget;
 using test::Random;
 using trace::kLanes;
+using trace::kMostMediaRows;
 using trace::kMostReceivers;
-using trace::kMostRows;
 
 namespace {
 
@@ -242,7 +242,7 @@ Met meets(const Segment& segment, const Projection& view, const test::Rays& rays
 trace::RayDepths noDepths() {
     trace::RayDepths depths;
     for (auto& channel : depths.depth)
-        std::fill_n(channel[0], kMostRows * kLanes, 0.0f);
+        std::fill_n(channel[0], kMostMediaRows * kLanes, 0.0f);
     return depths;
 }
 

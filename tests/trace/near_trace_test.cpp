@@ -23,6 +23,7 @@ using test::onEachTarget;
 using test::Random;
 using test::raysAround;
 using trace::kLanes;
+using trace::kMostGroups;
 using trace::kMostReceivers;
 using trace::kMostRows;
 
@@ -317,7 +318,8 @@ TEST_CASE("a ray's answer depends on that ray alone, on every processor",
     std::vector<std::unique_ptr<test::Rays>> bundles;
     for (int i = 0; i < 12; ++i) {
         const int receivers = i == 0 ? 1 : i == 1 ? 16 : 1 + int(random.below(16));
-        const int groups = i < 2 ? kMostRows / receivers : 1 + int(random.below(4));
+        const int groups = i < 2 ? std::min(kMostGroups, kMostRows / receivers)
+                                 : 1 + int(random.below(4));
         // Half of them lead towards the eye, all rays of each.
         bundles.push_back(raysAround(
             random, receivers, groups, {random.in(10, 54), random.in(10, 54), 0.012},

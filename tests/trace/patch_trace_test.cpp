@@ -513,8 +513,10 @@ TEST_CASE("a receiver's answers do not depend on the others", "[trace][twin]") {
     int blocked = 0, open = 0, different = 0, wide = 0;
     onEachTarget([&](const char*) {
         for (int i = 0; i < 60; ++i) {
-            const Rays all =
-                anyRays(random, 16, i % 4 == 0 ? 1 : 1 + int(random.below(4)));
+            const Rays all = anyRays(random, 16,
+                                     i % 4 == 0   ? 1
+                                     : i % 4 == 1 ? 16
+                                                  : 1 + int(random.below(4)));
             wide += all.bundle.wide != 0;
             const Rays together = traced(tree, all);
             const int left = openRays(together);

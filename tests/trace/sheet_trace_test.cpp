@@ -26,6 +26,7 @@ using test::onEachTarget;
 using test::Random;
 using test::raysAround;
 using trace::kLanes;
+using trace::kMostGroups;
 using trace::kMostRows;
 
 namespace {
@@ -327,7 +328,8 @@ TEST_CASE("what sheets leave of a ray depends on that ray alone, on every proces
     std::vector<std::unique_ptr<test::Rays>> bundles;
     for (int i = 0; i < 8; ++i) {
         const int receivers = i == 0 ? 1 : i == 1 ? 16 : 1 + int(random.below(16));
-        const int groups = i < 2 ? kMostRows / receivers : 1 + int(random.below(4));
+        const int groups = i < 2 ? std::min(kMostGroups, kMostRows / receivers)
+                                 : 1 + int(random.below(4));
         bundles.push_back(raysAround(
             random, receivers, groups, {random.in(10, 54), random.in(10, 54), 0.012},
             std::exp2(random.in(-6, 2)),

@@ -193,12 +193,13 @@ struct QueryStats {
                                           const ShadowOptions& options = {}) noexcept;
 
 /// The same for `count` points: out[i] for points[i] and normals[i] (normals may be
-/// null). Runs in the caller's oneTBB arena; `stats` may be null. `errors`, if not null,
-/// gets how far each factor (the mean of the channels) is expected to be from what
-/// infinitely many samples of the map would give: the mean of |found - true| at points
-/// like this one, told from how neighbouring samples differ. It is 0 where all samples
-/// see the same and for point lights, NaN with fewer than 4 samples, and says nothing of
-/// the map's own error. Of ShadowMethod::pcf it is the noise of the filter's samples.
+/// null). Runs in the caller's oneTBB arena, on up to half a megabyte of each thread's
+/// stack; `stats` may be null. `errors`, if not null, gets how far each factor (the mean
+/// of the channels) is expected to be from what infinitely many samples of the map would
+/// give: the mean of |found - true| at points like this one, told from how neighbouring
+/// samples differ. It is 0 where all samples see the same and for point lights, NaN with
+/// fewer than 4 samples, and says nothing of the map's own error. Of ShadowMethod::pcf it
+/// is the noise of the filter's samples.
 void shadowFactors(const ShadowMap& map, const AreaLight& light, const glm::dvec3* points,
                    const glm::dvec3* normals, std::size_t count, float* out,
                    const ShadowOptions& options = {}, QueryStats* stats = nullptr,
