@@ -29,6 +29,11 @@ class Radiance(cli_test.ToolTest):
     def report(self, *arguments, **more):
         return json.loads(self.good(self.radiance("--json", *arguments, **more)).stdout)
 
+    def test_a_map_is_no_caster(self):
+        pathlib.Path("key.mtsm").write_bytes(b"\x89MTSM\r\n\x1a\n")
+        self.fails(self.radiance("-o", "a.exr", scene="key.mtsm"), 4, "key.mtsm: is a map already, no caster")
+        self.leaves("scene.obj", "key.mtsm")
+
     def test_help_mentions_every_option_and_the_exit_codes(self):
         text = self.good(run("radiance", "--help")).stdout
         for option in OPTIONS.split():
