@@ -671,6 +671,9 @@ void run(const Arguments& a, const CLI::App& app, Talk& talk) {
     const ShadowCasters casters = unwrap(ShadowCasters::build(
         source, [&talk](const std::string& text) { talk.warn(text); }));
     talk.progressDone();
+    if (casters.triangles() + casters.segments() == 0)
+        if (const std::string why = emptyingSettings(files); !why.empty())
+            talk.warn("nothing casts a shadow: " + why);
     const std::vector<RadianceLight> lights = lightsOf(a, casters.bounds());
 
     RadianceOptions options = radianceOptions(a);

@@ -30,6 +30,10 @@ constexpr Emptying kEmptying[] = {
      "materials' own"},
 };
 
+bool empties(const Emptying& e, const CasterFile& c) {
+    return mayHold(c.path, e.kind) && e.isZero(c);
+}
+
 }  // namespace
 
 void refuseMaps(const std::vector<CasterFile>& casters) {
@@ -41,26 +45,29 @@ void refuseMaps(const std::vector<CasterFile>& casters) {
                                "it for shadows, mtsm-dump shows what is in it"}};
 }
 
-Error withEmptying(Error error, const std::vector<CasterFile>& casters) {
-    const bool nothingCasts =
-        error.message.find("casts a shadow: ") != std::string::npos ||
-        error.message.find("nothing that casts: ") != std::string::npos;
-    if (error.code != ErrorCode::badFile || !nothingCasts) return error;
-    const auto empties = [](const Emptying& e, const CasterFile& c) {
-        return mayHold(c.path, e.kind) && e.isZero(c);
-    };
-    std::string why;
+std::string emptyingSettings(const std::vector<CasterFile>& casters) {
+    std::string text;
     for (const Emptying& e : kEmptying)
         if (std::any_of(casters.begin(), casters.end(),
                         [&](const CasterFile& c) { return empties(e, c); }))
-            why += (why.empty() ? "" : "; ") + std::string(e.text);
-    const bool all =
-        std::all_of(casters.begin(), casters.end(), [&](const CasterFile& c) {
-            return std::any_of(std::begin(kEmptying), std::end(kEmptying),
-                               [&](const Emptying& e) { return empties(e, c); });
-        });
-    if (!why.empty())
-        error.message = (all ? "nothing casts a shadow: " : error.message + "; ") + why;
+            text += (text.empty() ? "" : "; ") + std::string(e.text);
+    return text;
+}
+
+Error withEmptying(Error error, const std::vector<CasterFile>& casters) {
+    const auto says = [&](const char* words) {
+        return error.message.find(words) != std::string::npos;
+    };
+    if (error.code != ErrorCode::badFile ||
+        !(says("casts a shadow: ") || says("nothing that casts: ")))
+        return error;
+    const std::string why = emptyingSettings(casters);
+    if (why.empty()) return error;
+    const bool all = std::all_of(casters.begin(), casters.end(), [](const CasterFile& c) {
+        return std::any_of(std::begin(kEmptying), std::end(kEmptying),
+                           [&](const Emptying& e) { return empties(e, c); });
+    });
+    error.message = (all ? "nothing casts a shadow: " : error.message + "; ") + why;
     return error;
 }
 

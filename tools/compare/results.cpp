@@ -458,20 +458,24 @@ std::string resultsText(const Json& results) {
         text << std::fixed << std::setprecision(3) << t["median"].get<double>();
         return text.str();
     };
+    int width = 50;  // of the labels
+    for (const Json& run : results["runs"])
+        width = std::max(width, int(run["label"].get<std::string>().size()));
     for (std::size_t l = 0; l < results["lights"].size(); ++l) {
         const Json& light = results["lights"][l];
         out << (l ? "\n" : "") << "light " << l + 1 << ": "
             << light["text"].get<std::string>() << "\n"
-            << std::left << std::setw(52) << "  method" << std::right << std::setw(9)
-            << "mean" << std::setw(9) << "std" << std::setw(9) << "p99" << std::setw(9)
-            << "object" << std::setw(11) << "build s" << std::setw(11) << "query s"
-            << std::setw(11) << "all thr. s" << std::setw(10) << "MB"
+            << std::left << std::setw(width + 2) << "  method" << std::right
+            << std::setw(9) << "mean" << std::setw(9) << "std" << std::setw(9) << "p99"
+            << std::setw(9) << "object" << std::setw(11) << "build s" << std::setw(11)
+            << "query s" << std::setw(11) << "all thr. s" << std::setw(10) << "MB"
             << "\n";
         for (const Json& run : results["runs"]) {
             if (run["light"].get<std::size_t>() != l) continue;
             const Json &image = run["errors"]["image"], &object = run["errors"]["object"];
-            out << "  " << std::left << std::setw(50) << run["label"].get<std::string>()
-                << std::right << std::fixed << std::setprecision(5);
+            out << "  " << std::left << std::setw(width)
+                << run["label"].get<std::string>() << std::right << std::fixed
+                << std::setprecision(5);
             if (image.is_null())
                 out << std::setw(27) << "no answer";
             else
