@@ -272,11 +272,15 @@ int main(int argc, char** argv) {
         "units across and centred near (0, 1, 0), over a floor of 6 x 6 units at y = 0.\n"
         "The two objects are named \"body\" and \"floor\".",
         "mtsm-make-bumpy"};
-    app.add_option("-n,--triangles", triangles,
-                   "Triangles of the body; the nearest number of the form 8 k^2 is made")
+    app.add_option(
+           "-n,--triangles", triangles,
+           "Triangles of the body; the nearest number of the form 8 k^2 is made;\n"
+           "the floor has 2 more")
         ->check(CLI::Range(std::uint64_t(8), std::uint64_t(100'000'000)))
         ->capture_default_str();
-    app.add_option("-o,--output", output, "File to write")->capture_default_str();
+    app.add_option("-o,--output", output, "File to write, .glb")
+        ->check([](const std::string& path) { return checkEnding(path, {".glb"}); })
+        ->capture_default_str();
     app.footer(
         "Examples:\n  mtsm-make-bumpy\n  mtsm-make-bumpy -n 2000 -o small.glb\n\n"
         "Exit codes: 0 good, 2 usage, 3 the file cannot be written.");

@@ -187,7 +187,9 @@ int main(int argc, char** argv) {
                    "Triangles; within a few percent of it are made")
         ->check(CLI::Range(std::uint64_t(10000), std::uint64_t(20'000'000)))
         ->capture_default_str();
-    app.add_option("-o,--output", output, "File to write")->capture_default_str();
+    app.add_option("-o,--output", output, "File to write, .ply")
+        ->check([](const std::string& path) { return checkEnding(path, {".ply"}); })
+        ->capture_default_str();
     app.footer(
         "Examples:\n  mtsm-make-character\n  mtsm-make-character -n 20000 -o "
         "small.ply\n\n"

@@ -198,13 +198,15 @@ int main(int argc, char** argv) {
     app.add_option("-o,--output", output, "File to write, .hair")
         ->check([](const std::string& path) { return checkEnding(path, {".hair"}); })
         ->capture_default_str();
-    app.add_option("--opacity", fur.opacity, "Part of the light that a hair stops")
+    app.add_option("--opacity", fur.opacity,
+                   "Part of the light that a hair stops, 0 to 1")
         ->check(CLI::Range(0.0, 1.0))
         ->capture_default_str();
-    app.add_option("--width", fur.width, "Width of a hair at its root")
+    app.add_option("--width", fur.width,
+                   "Width of a hair at its root, in the units of the sphere")
         ->check(CLI::Range(0.0, 1.0))
         ->capture_default_str();
-    app.add_option("--tip-width", fur.tipWidth, "Width of a hair at its tip")
+    app.add_option("--tip-width", fur.tipWidth, "Width of a hair at its tip, likewise")
         ->check(CLI::Range(0.0, 1.0))
         ->capture_default_str();
     app.add_option("--seed", fur.seed, "Other hairs for other numbers")

@@ -151,23 +151,25 @@ int main(int argc, char** argv) {
     std::string output = "glass.gltf";
     CLI::App app{
         "Writes a sample scene as glTF: a pane of tinted glass, \"pane\", in an opaque\n"
-        "frame, \"frame\", standing on y = 0 in the plane z = 0.",
+        "frame, \"frame\", standing on y = 0 in the plane z = 0. Lengths are in metres.",
         "mtsm-make-glass"};
     const CLI::Range proportion(0.0, 1.0);
-    app.add_option("--size", size, "Width and height of the pane, metres")
+    app.add_option("--size", size, "Width and height of the pane, in metres")
         ->check(CLI::Range(0.01, 1000.0))
         ->capture_default_str();
     app.add_option("--tint", tint, "Base colour of the glass: red, green, blue, linear")
         ->check(proportion)
         ->capture_default_str();
-    app.add_option("--opacity", opacity, "Alpha of the glass")
+    app.add_option("--opacity", opacity, "Alpha of the glass, 0 clear to 1 opaque")
         ->check(proportion)
         ->capture_default_str();
     app.add_option("-n,--squares", squares,
                    "Squares along each side of the pane, two triangles each")
         ->check(CLI::Range(1, 2000))
         ->capture_default_str();
-    app.add_option("-o,--output", output, "File to write")->capture_default_str();
+    app.add_option("-o,--output", output, "File to write, .gltf")
+        ->check([](const std::string& path) { return checkEnding(path, {".gltf"}); })
+        ->capture_default_str();
     app.footer(
         "Examples:\n  mtsm-make-glass\n"
         "  mtsm-make-glass --tint 0.1 0.8 0.3 --opacity 0.7 -o green.gltf\n\n"

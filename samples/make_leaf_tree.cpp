@@ -288,7 +288,9 @@ int main(int argc, char** argv) {
     app.add_option("-t,--texture-size", size, "Pixels along each side of the texture")
         ->check(CLI::Range(16, 8192))
         ->capture_default_str();
-    app.add_option("-o,--output", output, "OBJ file to write")->capture_default_str();
+    app.add_option("-o,--output", output, "File to write, .obj")
+        ->check([](const std::string& path) { return checkEnding(path, {".obj"}); })
+        ->capture_default_str();
     app.footer(
         "Examples:\n  mtsm-make-leaf-tree\n"
         "  mtsm-make-leaf-tree -n 500 -t 64 -o small.obj\n\n"

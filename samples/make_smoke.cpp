@@ -129,12 +129,15 @@ int main(int argc, char** argv) {
     std::string output = "smoke.vdb";
     CLI::App app{
         "Writes a sample volume as OpenVDB: a puff of smoke, 2 units across, over the\n"
-        "plane y = 0. Its grid is named \"density\" and holds values from 0 to 1.",
+        "plane y = 0. Its grid is named \"density\" and holds values from 0 to 1:\n"
+        "mtsm-bake makes of it thin smoke, and thick with --density-scale 20.",
         "mtsm-make-smoke"};
     app.add_option("-n,--size", size, "Voxels along each side of the cube it is made in")
         ->check(CLI::Range(8, 1024))
         ->capture_default_str();
-    app.add_option("-o,--output", output, "File to write")->capture_default_str();
+    app.add_option("-o,--output", output, "File to write, .vdb")
+        ->check([](const std::string& path) { return checkEnding(path, {".vdb"}); })
+        ->capture_default_str();
     app.footer(
         "Examples:\n  mtsm-make-smoke\n  mtsm-make-smoke --size 32 -o small.vdb\n\n"
         "Exit codes: 0 good, 2 usage, 3 the file cannot be written.");

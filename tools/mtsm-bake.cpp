@@ -10,6 +10,7 @@
 #include <initializer_list>
 
 #include "common/arguments.h"
+#include "common/casters.h"
 #include "common/job.h"
 #include "common/placement.h"
 #include "common/quality_options.h"
@@ -123,7 +124,11 @@ std::uint32_t parseResets(const std::string& text) {
 std::uint64_t parseNearField(const std::string& text) {
     if (text == "none") return 0;
     if (text == "auto") return kAutomaticNearField;
-    return parseBytes("--near-field", text);
+    try {
+        return parseBytes("--near-field", text);
+    } catch (const UsageError& wrong) {
+        throw UsageError(std::string(wrong.what()) + ", auto or none");
+    }
 }
 
 std::uint64_t maxBytesOf(const std::string& text) {
@@ -154,7 +159,8 @@ void addFileOptions(CLI::App& app, Arguments& a) {
         ->required()
         ->type_name("FILE")
         ->group(group);
-    addText(app, "-o,--output", a.output, "OUT.mtsm", "the map file to write; needed")
+    addText(app, "-o,--output", a.output, "OUT.mtsm",
+            "the map file to write; needed, unless a job names it")
         ->group(group);
     addChoice(app, "--codec", a.codec, {"zstd", "none"},
               "how planes are stored (default: zstd)")
@@ -170,8 +176,8 @@ void addViewOptions(CLI::App& app, Arguments& a) {
                "side (default: 1024)")
         ->group(group);
     addWhole(app, "--subsamples", a.subsamples, 1, 8,
-             "centre rays per side of a pixel, 1 to 8: 2 makes 4\n"
-             "rays; for meshes finer than a pixel (default: 1)")
+             "centre rays per side of a pixel, 1, 2, 4 or 8: 2 makes\n"
+             "4 rays; for meshes finer than a pixel (default: 1)")
         ->group(group);
     addNumber(app, "--bias", a.bias, {0.0, kAny}, "Z",
               "depth within which a layer is met, world units,\n"
@@ -184,16 +190,16 @@ void addQuality(CLI::App& app, Arguments& a) {
     addQualityOptions(app, a.quality,
                       "resolution, tolerance and the near field's\n"
                       "size by what the casters are and what maps were\n"
-                      "measured to have,",
+                      "measured to have",
                       "Quality");
 }
 
 void addLayerOptions(CLI::App& app, Arguments& a) {
     const std::string group = "Layers";
     addWhole(app, "--layers", a.layers, 1, kMaxPixelLayers,
-             "most layers of a pixel; of opaque casters the\n"
-             "nearest are kept, others are merged (default: 5 if\n"
-             "all casters are opaque, else no limit)")
+             "most layers of a pixel, 1 to 1048576; of opaque\n"
+             "casters the nearest are kept, others are merged\n"
+             "(default: 5 if all casters are opaque, else no limit)")
         ->group(group);
     addNumber(app, "--tolerance", a.tolerance, {0.0, 1.0}, "V",
               "error of visibility along a pixel's centre ray that\n"
@@ -212,7 +218,8 @@ void addLayerOptions(CLI::App& app, Arguments& a) {
                  "so tinted glass is darker than in grey")
         ->group(group);
     app.add_flag("--keep-hidden", a.keepHidden,
-                 "keep layers that no point of the light can see")
+                 "keep layers that no point of the light can see\n"
+                 "(default: they are dropped)")
         ->group(group);
     addChecked(app, "--near-field", a.nearField, "auto|none|SIZE", parseNearField,
                "keep triangles and strands themselves as well, for\n"
@@ -232,8 +239,9 @@ void addLayerOptions(CLI::App& app, Arguments& a) {
 void addCasterOptions(CLI::App& app, Arguments& a) {
     const std::string meshes = "Meshes", hair = "Hair", volumes = "Volumes";
     addNumber(app, "--opacity", a.opacity, {0.0, 1.0}, "A",
-              "opacity of all materials, 0 to 1; alpha textures\n"
-              "still cut their holes (default: the materials' own)")
+              "opacity of all materials, 0 (casts nothing) to 1;\n"
+              "alpha textures still cut their holes (default: the\n"
+              "materials' own)")
         ->group(meshes);
     const auto addList = [&](const char* name, std::vector<std::string>& list,
                              const char* form, const char* help) {
@@ -278,7 +286,8 @@ void addCasterOptions(CLI::App& app, Arguments& a) {
         ->group(volumes);
     addNumber(app, "--density-scale", a.densityScale, {0.0, kAny}, "F",
               "extinction per unit of density and length: light\n"
-              "falls by exp(-F density length) (default: 1)")
+              "falls by exp(-F density length); 0 would make volumes\n"
+              "empty (default: 1)")
         ->group(volumes);
 }
 
@@ -426,7 +435,8 @@ std::string settingsText(const CLI::App& app, const Input& input) {
         const bool flag = option->get_items_expected_max() == 0;
         for (const std::string& value : option->results()) {
             if (!option->get_positional()) text += " " + name;
-            if (!flag) text += " " + value;
+            // So that it may be pasted into a shell again.
+            if (!flag) text += " " + quotedForShell(value);
         }
     }
     return text;
@@ -735,7 +745,9 @@ void run(const Arguments& a, const CLI::App& app, const Input& input, Talk& talk
     BakeOptions options = checkedBakeOptions(a, app, input, talk);
     CasterFiles casters(input.casters, filesOptions(a, talk));
     if (a.quality.meanError()) chooseSettings(a, app, casters, talk, options);
-    const Baked baked = unwrap(bake(casters, options));
+    auto made = bake(casters, options);
+    if (!made) throw Failure{withEmptying(made.error(), input.casters)};
+    const Baked baked = *std::move(made);
     if (a.quality.meanError()) checkQuality(a, app, baked, talk);
 
     WriteOptions write;
@@ -785,6 +797,7 @@ int main(int argc, char** argv) {
         Input input = readInput(arguments, app);
         talk.setQuiet(arguments.quiet);
         checkOutput(arguments, input);
+        refuseMaps(input.casters);
         applyCasterOptions(arguments, input.casters);
         withThreads(arguments.threads, [&] { run(arguments, app, input, talk); });
     });

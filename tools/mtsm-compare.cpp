@@ -9,7 +9,9 @@
 #include <filesystem>
 #include <fstream>
 
+#include "baseline/methods.h"
 #include "common/arguments.h"
+#include "common/casters.h"
 #include "common/job.h"
 #include "common/placement.h"
 #include "common/tool.h"
@@ -19,6 +21,7 @@
 #include "compare/results.h"
 #include "compare/scene.h"
 #include "compare/session.h"
+#include "mtsm/describe.h"
 #include "mtsm/plot.h"
 
 namespace {
@@ -73,6 +76,12 @@ constexpr const char* kExamples =
     "    [[method]]\n"
     "    name = \"embree\"\n"
     "    samples = [1, 4, 16, 64, 256]\n"
+    "    [[method]]\n"
+    "    name = \"mtsm\"                     # what is not given here or in [map] is "
+    "chosen,\n"
+    "    target-error = [0.02, 0.005]      # as mtsm-bake and mtsm-query do; or quality "
+    "= "
+    "...\n"
     "\nThe folder gets results.json, results.csv, report.html (one page, no network), "
     "PNG "
     "and\n"
@@ -126,7 +135,9 @@ void addSceneOptions(CLI::App& app, Arguments& a) {
         ->group("Files");
     addPlacementOptions(app, a.placement);
     addList(app, "--light-scales", a.lightScales,
-            "compare with the light so many times as large\n(default: 1)", "Light");
+            "compare with the light so many times as large, each\n"
+            "at least 0 (default: 1)",
+            "Light");
 }
 
 void addCameraOptions(CLI::App& app, Arguments& a) {
@@ -153,19 +164,23 @@ void addCameraOptions(CLI::App& app, Arguments& a) {
         ->type_name("N|WxH")
         ->group(group);
     addWhole(app, "--points", c.points, 1, 1024,
-             "shaded points per pixel: 1, 4, 9, 16, ... (default: 1)")
+             "shaded points per pixel: 1, 4, 9, 16, ... 1024, squares\n"
+             "of whole numbers (default: 1); errors are by pixel")
         ->group(group);
     addWhole(app, "--pixels", c.pixels, 0, 1 << 30,
              "compare so many pixels alone, in runs of 64 neighbours\n"
-             "spread over the picture; 0: all (default)")
+             "spread over the picture; 0: all (default). Errors of a\n"
+             "few hundred are luck, and the table says how much")
         ->group(group);
     auto* pass = addText(app, "--position-pass", c.positionPass, "P.exr",
-                         "shade the points of a position pass, no camera");
+                         "shade the points of a position pass, an EXR with world\n"
+                         "positions; no camera");
     pass->group(group);
     for (const char* camera :
          {"--camera-position", "--camera-target", "--camera-up", "--camera-fov"})
         pass->excludes(app.get_option(camera));
-    addText(app, "--normal-pass", c.normalPass, "N.exr", "normals beside it")
+    addText(app, "--normal-pass", c.normalPass, "N.exr",
+            "normals beside it (default: none)")
         ->group(group);
 }
 
@@ -181,14 +196,16 @@ void addCompareOptions(CLI::App& app, Arguments& a) {
                  "print all methods with their settings, and stop")
         ->group(group);
     addWhole(app, "--truth", a.truth, 1, 4096,
-             "samples a point of the truth (default: 4096)")
+             "samples a point of the truth, 1 to 4096 (default: 4096)")
         ->group(group);
     addWhole(app, "--measured-pixels", a.measured, 64, 1 << 28,
-             "times are taken on so many pixels, in runs of 64\n"
-             "neighbours, and scaled to the picture (default: 4096)")
+             "times are taken on so many pixels, 64 or more, in runs\n"
+             "of 64 neighbours, and scaled to the picture (default:\n"
+             "4096)")
         ->group(group);
     addWhole(app, "--repeats", a.repeats, 1, 1000,
-             "times that each is timed; the median counts\n(default: 5)")
+             "times that each is timed, 1 to 1000; the median counts\n"
+             "(default: 5)")
         ->group(group);
     addList(app, "--targets", a.targets,
             "mean errors for which the cheapest of each method is\n"
@@ -214,7 +231,8 @@ void addOptions(CLI::App& app, Arguments& a) {
     addCompareOptions(app, a);
     const std::string group = "General";
     addWhole(app, "--threads", a.threads, 0, 1024,
-             "of \"all threads\"; 0: as many as the machine has\n(default)")
+             "of what is timed with all threads (else with one), 1\n"
+             "to what the machine has; 0: those (default)")
         ->group(group);
     app.add_flag("--quiet", a.quiet, "say nothing but warnings and errors")->group(group);
     app.add_flag("--json", a.json, "print results.json to stdout in place of tables")
@@ -249,28 +267,56 @@ std::string bakeLine(const Arguments& a, const CLI::App& app) {
     return line;
 }
 
+/// What one setting of [map] says to the method mtsm; nothing of what is not its own.
+std::optional<baseline::SettingValue> mapDefault(const std::string& name,
+                                                 const JobSetting& setting, Talk& talk) {
+    const std::string& key = setting.key;
+    if (name == "resets" || name == "color" || name == "keep-hidden") {
+        talk.warn(setting.place + ": " + name +
+                  " is not compared: maps are grey and keep what light can see");
+    } else if (name == "rounding") {
+        talk.warn(setting.place +
+                  ": rounding is not compared: maps have the default of mtsm-bake");
+    } else if (name == "quality" || name == "target-error") {
+        talk.warn(setting.place + ": " + name +
+                  " in [map] is for mtsm-bake alone: to compare what it chooses, give a "
+                  "[[method]] with name = \"mtsm\" a " +
+                  name + " of its own");
+    } else if (name == "resolution") {
+        const glm::uvec2 size = parseResolution(key, setting.value, kMaxResolution);
+        if (size.x != size.y)
+            talk.warn(setting.place + ": maps are compared square; found " +
+                      setting.value);
+        return double(std::max(size.x, size.y));
+    } else if (name == "near-field") {
+        return setting.value;
+    } else if (name == "layers" || name == "tolerance" || name == "subsamples" ||
+               name == "bias") {
+        return parseNumbers(key, setting.value, 1, "a number").front();
+    }
+    return std::nullopt;
+}
+
 /// What [map] says of the settings that the method mtsm has. What else it says of layers
-/// is not compared.
+/// is not compared. Failures have the place of what is wrong.
 baseline::Settings::Given mapDefaults(const Job& job, Talk& talk) {
+    const auto method = unwrap(baseline::findMethod("mtsm"));
     baseline::Settings::Given defaults;
     for (const JobSetting& setting : job.settings) {
-        const std::string& key = setting.key;
-        if (!key.starts_with("map.")) continue;
-        const std::string name = key.substr(4);
-        if (name == "resets" || name == "color" || name == "keep-hidden") {
-            talk.warn(setting.place + ": " + name +
-                      " is not compared: maps are grey and keep what light can see");
-        } else if (name == "resolution") {
-            const glm::uvec2 size =
-                parseResolution("--resolution", setting.value, kMaxResolution);
-            if (size.x != size.y)
-                talk.warn(setting.place + ": maps are compared square; found " +
-                          setting.value);
-            defaults.emplace_back(name, double(std::max(size.x, size.y)));
-        } else if (name == "layers" || name == "tolerance" || name == "subsamples" ||
-                   name == "bias") {
-            defaults.emplace_back(
-                name, parseNumbers("--" + name, setting.value, 1, "a number").front());
+        if (!setting.key.starts_with("map.")) continue;
+        const std::string name = setting.key.substr(4);
+        const auto fail = [&](const std::string& why) {
+            return Failure{{ErrorCode::badFile, setting.place + ": " + printable(why)}};
+        };
+        try {
+            const auto value = mapDefault(name, setting, talk);
+            if (!value) continue;
+            const auto good =
+                baseline::Settings::complete(method->settings, {{name, *value}}, "mtsm");
+            if (!good) throw fail(good.error().message);
+            defaults.emplace_back(name, *value);
+        } catch (const UsageError& wrong) {
+            throw fail(wrong.what());
         }
     }
     return defaults;
@@ -298,6 +344,7 @@ Input readInput(const Arguments& a, CLI::App& app, Talk& talk) {
         input.text = textOf(a.inputs.front());
         applyJob(*input.job, app);
         input.casters = input.job->casters;
+        refuseMaps(input.casters);
         input.receivers = input.job->receivers;
         input.methods = input.job->methods;
         return input;
@@ -306,6 +353,7 @@ Input readInput(const Arguments& a, CLI::App& app, Talk& talk) {
         input.casters.emplace_back();
         input.casters.back().path = path;
     }
+    refuseMaps(input.casters);
     input.receivers.emplace_back();
     input.receivers.back().floor = true;
     return input;

@@ -46,7 +46,7 @@ constexpr const char* kExamples =
     "with\n"
     "a warning, and half floats are too coarse. Pixels without a surface (alpha 0, or "
     "not\n"
-    "finite) are lit.\n"
+    "finite) are lit; a pass in which no position is finite is an error.\n"
     "Output by extension: .exr (channels shadow and visibility), .png (8-bit grey), "
     ".csv;\n"
     "points and rays without -o go to stdout as CSV. A map that was baked with --color\n"
@@ -132,7 +132,8 @@ void addOptions(CLI::App& app, Arguments& a) {
         ->group("Input");
     addText(app, "--rays", a.raysFile, "FILE|-", "CSV of shadow rays; - reads stdin")
         ->group("Input");
-    addText(app, "--position", a.positionFile, "P.exr", "a position pass")
+    addText(app, "--position", a.positionFile, "P.exr",
+            "a position pass: an EXR with world positions")
         ->group("Input");
     addText(app, "--position-layer", a.positionLayer, "NAME",
             "its layer, where the name is not a usual one")
@@ -146,7 +147,8 @@ void addOptions(CLI::App& app, Arguments& a) {
             "a W x H picture, first row at O; their normal is\n"
             "cross(U, V), turned to the light's side")
         ->group("Input");
-    addText(app, "--size", a.size, "N|WxH", "pixels of --plane")->group("Input");
+    addText(app, "--size", a.size, "N|WxH", "pixels of --plane, which needs it")
+        ->group("Input");
     app.add_flag("--no-normal", a.noNormal, "ask for --plane's points without a normal")
         ->group("Input");
 
@@ -176,8 +178,8 @@ void addOptions(CLI::App& app, Arguments& a) {
         ->group("Output");
 
     addQualityOptions(app, a.quality,
-                      "samples and how they adapt by what a\n"
-                      "part of the points shows,",
+                      "samples and how they adapt by what a part of the\n"
+                      "points shows",
                       "Query");
     addWhole(app, "--samples", a.samples, 1, kMaxSamples,
              "points on the light, 1 to 4096 (default: 64; with\n"
@@ -199,7 +201,8 @@ void addOptions(CLI::App& app, Arguments& a) {
         ->group("Query");
     app.add_flag("--adaptive", a.adaptive,
                  "points of which the first 16 samples see the same\n"
-                 "take no more; with --method trace")
+                 "take no more; with --method trace; --quality and\n"
+                 "--target-error adapt in a way of their own")
         ->group("Query");
     addChoice(app, "--method", a.method, {"trace", "scalar", "pcf"},
               "rays through the map; the same ray by ray, as the\n"
@@ -327,6 +330,9 @@ Receivers passReceivers(const Arguments& a, Talk& talk) {
     auto pass =
         std::make_shared<const Pass>(unwrap(readPositionPass(a.positionFile, options)));
     warnOfPositions(talk, *pass, a.positionFile);
+    checkSurfaces(talk, *pass, a.positionFile,
+                  "give the file that has them, or name their layer with "
+                  "--position-layer");
     Receivers r;
     r.passes = true;
     r.positionLayer = pass->layer;

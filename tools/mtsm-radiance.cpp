@@ -11,6 +11,7 @@
 #include "baseline/radiance_pack.h"
 #include "baseline/radiance_texture.h"
 #include "common/arguments.h"
+#include "common/casters.h"
 #include "common/light_options.h"
 #include "common/tool.h"
 #include "mtsm/caster_files.h"
@@ -37,8 +38,7 @@ constexpr const char* kAbout =
 
 constexpr const char* kExamples =
     "A receiver is lit on the side from which its corners run counter-clockwise: O, O + "
-    "U, "
-    "\n"
+    "U,\n"
     "O + U + V for --receiver. The first row of its picture lies at O, U runs to the "
     "right.\n"
     "Triangles (three corners, or faces of a mesh) lie in the lower left half of their\n"
@@ -127,7 +127,9 @@ void addLightOptions(CLI::App& app, LightArguments& light, const std::string& gr
                         "what the size given belongs\nto: radius disk, size rect, angle "
                         "sun; else point");
     addLightAimOptions(app, light.options, group);
-    addColor(app, "--radiance", light.radiance, "what the light emits (default: 1)")
+    addColor(app, "--radiance", light.radiance,
+             "what the light emits, per area and solid angle, in any\n"
+             "unit: the textures have the same (default: 1)")
         ->group(group);
 }
 
@@ -663,11 +665,15 @@ void run(const Arguments& a, const CLI::App& app, Talk& talk) {
     checkArguments(a, app);
     checkOutput(a.output, a.inputs);
     const std::vector<CasterFile> files = casterFiles(a);
+    refuseMaps(files);
     std::vector<RadianceReceiver> receivers = receiversOf(a, talk);
     CasterFiles source(files, filesOptions(talk));
     const ShadowCasters casters = unwrap(ShadowCasters::build(
         source, [&talk](const std::string& text) { talk.warn(text); }));
     talk.progressDone();
+    if (casters.triangles() + casters.segments() == 0)
+        if (const std::string why = emptyingSettings(files); !why.empty())
+            talk.warn("nothing casts a shadow: " + why);
     const std::vector<RadianceLight> lights = lightsOf(a, casters.bounds());
 
     RadianceOptions options = radianceOptions(a);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 namespace mtsm::baseline {
 
@@ -35,6 +36,29 @@ Errors measureErrors(const std::vector<float>& found, const std::vector<float>& 
     e.p99 = percentile(0.99);
     e.largest = percentile(1.0);
     return e;
+}
+
+double standardError(const std::vector<float>& found, const std::vector<float>& truth,
+                     std::size_t run, std::size_t of) {
+    std::vector<double> means;
+    for (std::size_t begin = 0; begin < found.size(); begin += run) {
+        double sum = 0.0, count = 0.0;
+        for (std::size_t i = begin; i < std::min(begin + run, found.size()); ++i) {
+            if (std::isnan(found[i])) continue;
+            sum += std::abs(double(found[i]) - truth[i]);
+            ++count;
+        }
+        if (count > 0.0) means.push_back(sum / count);
+    }
+    if (found.size() >= of) return 0.0;
+    if (means.size() < 2) return HUGE_VAL;
+    const double n = double(means.size());
+    const double mean = std::accumulate(means.begin(), means.end(), 0.0) / n;
+    double squares = 0.0;
+    for (const double m : means)
+        squares += (m - mean) * (m - mean);
+    const double left = 1.0 - double(found.size()) / double(of);
+    return std::sqrt(left * squares / (n - 1.0) / n);
 }
 
 }  // namespace mtsm::baseline

@@ -19,4 +19,12 @@ struct Errors {
                                    const std::vector<std::uint8_t>& mask = {},
                                    const std::vector<float>& scale = {});
 
+/// How far the mean of |found - truth| may be off by chance (one standard error) where
+/// the values are not all there are but runs of `run` neighbours, taken at random from
+/// `of` values. Neighbours are alike: it is told from the means of runs. Infinite where a
+/// single run has values.
+[[nodiscard]] double standardError(const std::vector<float>& found,
+                                   const std::vector<float>& truth, std::size_t run,
+                                   std::size_t of);
+
 }  // namespace mtsm::baseline

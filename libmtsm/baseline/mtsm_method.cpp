@@ -89,13 +89,33 @@ class MtsmMethod final : public Method {
         const auto error = float(settings.number("target-error"));
         if (!(error > 0.0f)) return std::nullopt;
         ShadowOptions options = optionsOf(settings);
-        options.samples = kMaxSamples;
+        if (!settings.given("samples")) options.samples = kMaxSamples;
         return planQueries(map_, light, at.points, at.normals, at.count, error, options);
     }
 
     ShadowMap map_;
     std::uint64_t memoryBytes_ = 0;
 };
+
+std::uint64_t nearFieldOf(const Settings& settings) {
+    const std::string& text = settings.word("near-field");
+    return text == "auto" ? kAutomaticNearField : bytesOf(text).value_or(0);
+}
+
+/// Puts what target-error chooses in place of what was not given, as mtsm-bake does.
+Status chooseSettings(const MethodScene& scene, const Settings& settings,
+                      BakeOptions& options) {
+    const auto casters = measureCasters(scene.casters);
+    if (!casters) return casters.error();
+    MapForm form{scene.bake.cube, scene.bake.color};
+    if (settings.given("near-field")) form.nearField = options.nearField > 0;
+    const MapSettings chosen =
+        mapSettingsFor(*casters, float(settings.number("target-error")), form);
+    if (!settings.given("resolution")) options.width = options.height = chosen.resolution;
+    if (!settings.given("tolerance")) options.tolerance = chosen.tolerance;
+    if (!settings.given("near-field")) options.nearField = chosen.nearField;
+    return {};
+}
 
 Result<std::unique_ptr<Method>> build(const MethodScene& scene,
                                       const Settings& settings) {
@@ -105,16 +125,9 @@ Result<std::unique_ptr<Method>> build(const MethodScene& scene,
         options.layers = std::uint32_t(layers);
     options.tolerance = float(settings.number("tolerance"));
     options.subsamples = std::uint32_t(settings.whole("subsamples"));
-    options.nearField = settings.word("near-field") == "auto" ? kAutomaticNearField : 0;
-    if (const auto error = float(settings.number("target-error")); error > 0.0f) {
-        const auto casters = measureCasters(scene.casters);
-        if (!casters) return casters.error();
-        const MapSettings chosen =
-            mapSettingsFor(*casters, error, {scene.bake.cube, scene.bake.color});
-        options.width = options.height = chosen.resolution;
-        options.tolerance = chosen.tolerance;
-        options.nearField = chosen.nearField;
-    }
+    options.nearField = nearFieldOf(settings);
+    if (settings.number("target-error") > 0.0)
+        if (Status s = chooseSettings(scene, settings, options); !s) return s.error();
     auto baked = bake(scene.casters, options);
     if (!baked) return baked.error();
     const bool traced = settings.word("lookup") == "trace";
@@ -132,8 +145,8 @@ MethodInfo mtsmMethod() {
     info.settings = {
         wholeSetting("resolution", 1024, 1, kMaxResolution, "pixels per side of the map",
                      SettingUse::build),
-        wholeSetting("layers", 0, 0, 64, "cap on a pixel's layers; 0: as mtsm-bake",
-                     SettingUse::build),
+        wholeSetting("layers", 0, 0, kMaxPixelLayers,
+                     "cap on a pixel's layers; 0: as mtsm-bake", SettingUse::build),
         numberSetting("tolerance", 0.005, 0.0, 1.0, "error that compression may bring",
                       SettingUse::build),
         wholeSetting("subsamples", 1, 1, 8, "centre rays per side of a pixel: 1, 2, 4, 8",
@@ -142,12 +155,13 @@ MethodInfo mtsmMethod() {
                       "z threshold of the map, world units; -1: as mtsm-bake",
                       SettingUse::build),
         wordSetting("near-field", {"auto", "none"},
-                    "triangles and strands themselves beside the layers",
+                    "triangles and strands themselves beside the layers: auto up to 64M",
                     SettingUse::build),
         numberSetting(
             "target-error", 0.0, 0.0, 1.0,
             "mean error for which resolution, tolerance, near-field and samples are "
-            "chosen; 0: as they are given",
+            "chosen unless given (samples: the most); 0: none; quality = draft, preview "
+            "or final is 0.02, 0.005 or 0.001",
             SettingUse::build),
         wholeSetting("samples", 256, 1, kMaxSamples, "rays per point"),
         numberSetting("query-bias", -1.0, -1.0, 1e9,
@@ -160,6 +174,11 @@ MethodInfo mtsmMethod() {
         wordSetting("attenuation", {"multiply", "subtract"},
                     "how samples add up; subtract keeps the layers", SettingUse::build),
     };
+    for (SettingInfo& setting : info.settings) {
+        if (setting.name == "near-field") setting.bytes = true;
+        // What target-error chooses adapts in a way of its own.
+        if (setting.name == "adaptive") setting.with = "target-error=0";
+    }
     info.build = build;
     return info;
 }

@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <cassert>
+#include <cctype>
 #include <charconv>
 #include <cmath>
+#include <cstring>
 
 #include "base/message.h"
 #include "base/printable.h"
@@ -21,7 +23,8 @@ std::string joined(const std::vector<std::string>& names) {
 std::string expected(const SettingInfo& info) {
     if (std::holds_alternative<bool>(info.fallback)) return "true or false";
     if (std::holds_alternative<std::string>(info.fallback))
-        return "one of " + joined(info.words);
+        return "one of " + joined(info.words) +
+               (info.bytes ? ", or bytes such as 32M" : "");
     return std::string(info.whole ? "a whole number" : "a number") + " from " +
            settingText(info.least) + " to " + settingText(info.most);
 }
@@ -32,8 +35,19 @@ bool fits(const SettingInfo& info, const SettingValue& value) {
         return *number >= info.least && *number <= info.most &&
                !(info.whole && *number != std::floor(*number));
     if (const auto* word = std::get_if<std::string>(&value))
-        return std::find(info.words.begin(), info.words.end(), *word) != info.words.end();
+        return std::find(info.words.begin(), info.words.end(), *word) !=
+                   info.words.end() ||
+               (info.bytes && bytesOf(*word));
     return true;
+}
+
+/// A scene file may spell the word "5", or bytes, without quotes.
+SettingValue asMeant(const SettingInfo& info, const SettingValue& value) {
+    const auto* number = std::get_if<double>(&value);
+    if (!number || !std::holds_alternative<std::string>(info.fallback)) return value;
+    const bool whole =
+        *number >= 0.0 && *number < 0x1p53 && *number == std::floor(*number);
+    return whole ? std::to_string(std::uint64_t(*number)) : settingText(value);
 }
 
 /// Insertions, deletions, replacements that make one of the other.
@@ -65,21 +79,21 @@ std::string settingText(const SettingValue& value) {
 
 SettingInfo wholeSetting(std::string name, double fallback, double least, double most,
                          std::string help, SettingUse use) {
-    return {std::move(name), fallback, use, std::move(help), least, most, true, {}, {}};
+    return {std::move(name), fallback, use, std::move(help), least, most, true};
 }
 SettingInfo numberSetting(std::string name, double fallback, double least, double most,
                           std::string help, SettingUse use) {
-    return {std::move(name), fallback, use, std::move(help), least, most, false, {}, {}};
+    return {std::move(name), fallback, use, std::move(help), least, most};
 }
 SettingInfo flagSetting(std::string name, bool fallback, std::string help,
                         SettingUse use) {
-    return {std::move(name), fallback, use, std::move(help), 0.0, 0.0, false, {}, {}};
+    return {std::move(name), fallback, use, std::move(help)};
 }
 SettingInfo wordSetting(std::string name, std::vector<std::string> words,
                         std::string help, SettingUse use) {
     std::string fallback = words.front();
     return {std::move(name), std::move(fallback), use, std::move(help), 0.0, 0.0,
-            false,           std::move(words),    {}};
+            false,           std::move(words)};
 }
 
 std::string nearestName(const std::string& wrong, const std::vector<std::string>& names) {
@@ -92,7 +106,25 @@ std::string nearestName(const std::string& wrong, const std::vector<std::string>
             nearest = name;
         }
     }
+    if (!nearest.empty() || wrong.size() < 3) return nearest;
+    for (const std::string& name : names)
+        if (name.rfind(wrong, 0) == 0) return name;
     return nearest;
+}
+
+std::optional<std::uint64_t> bytesOf(const std::string& text) {
+    static constexpr const char* kSuffixes = "KMGT";
+    std::uint64_t count = 0;
+    const char* const end = text.data() + text.size();
+    const auto [at, problem] = std::from_chars(text.data(), end, count);
+    if (problem != std::errc() || count == 0) return std::nullopt;
+    if (at == end) return count;
+    const char* const suffix =
+        std::strchr(kSuffixes, std::toupper(static_cast<unsigned char>(*at)));
+    if (!suffix || at + 1 != end) return std::nullopt;
+    const auto shift = 10 * (suffix - kSuffixes + 1);
+    if (count > UINT64_MAX >> shift) return std::nullopt;
+    return count << shift;
 }
 
 Result<Settings> Settings::complete(const std::vector<SettingInfo>& infos,
@@ -100,6 +132,7 @@ Result<Settings> Settings::complete(const std::vector<SettingInfo>& infos,
     Settings settings;
     for (const SettingInfo& info : infos)
         settings.values_.emplace_back(info.name, info.fallback);
+    settings.given_.assign(infos.size(), false);
     for (const auto& [name, value] : given) {
         std::size_t at = 0;
         while (at < infos.size() && infos[at].name != name)
@@ -115,45 +148,49 @@ Result<Settings> Settings::complete(const std::vector<SettingInfo>& infos,
                 near.empty() ? "; it has " : "; did you mean \"" + near + "\"? It has ",
                 names.empty() ? "none" : joined(names));
         }
-        // A scene file may spell the word "5" without quotes.
-        const bool asWord = std::holds_alternative<std::string>(infos[at].fallback) &&
-                            std::holds_alternative<double>(value);
-        const SettingValue meant = asWord ? SettingValue(settingText(value)) : value;
+        const SettingValue meant = asMeant(infos[at], value);
         if (!fits(infos[at], meant))
             return base::makeError(ErrorCode::badArgument, "method ", method, ", ", name,
                                    ": found ", base::printable(settingText(value)),
                                    ", expected ", expected(infos[at]));
         settings.values_[at].second = meant;
+        settings.given_[at] = true;
     }
     for (std::size_t i = 0; i < infos.size(); ++i) {
         const auto equals = infos[i].with.find('=');
         if (equals == std::string::npos) continue;
-        const SettingValue& other = settings.find(infos[i].with.substr(0, equals));
-        if (settingText(other) != infos[i].with.substr(equals + 1))
-            settings.values_[i].second = infos[i].fallback;
+        const std::size_t other = settings.find(infos[i].with.substr(0, equals));
+        if (settingText(settings.values_[other].second) ==
+            infos[i].with.substr(equals + 1))
+            continue;
+        settings.values_[i].second = infos[i].fallback;
+        settings.given_[i] = false;
     }
     return settings;
 }
 
-const SettingValue& Settings::find(const std::string& name) const {
+std::size_t Settings::find(const std::string& name) const {
     const auto found =
         std::find_if(values_.begin(), values_.end(),
                      [&](const auto& setting) { return setting.first == name; });
     assert(found != values_.end());
-    return found->second;
+    return std::size_t(found - values_.begin());
 }
 
+bool Settings::given(const std::string& name) const {
+    return given_[find(name)];
+}
 bool Settings::flag(const std::string& name) const {
-    return std::get<bool>(find(name));
+    return std::get<bool>(values_[find(name)].second);
 }
 double Settings::number(const std::string& name) const {
-    return std::get<double>(find(name));
+    return std::get<double>(values_[find(name)].second);
 }
 int Settings::whole(const std::string& name) const {
     return int(number(name));
 }
 const std::string& Settings::word(const std::string& name) const {
-    return std::get<std::string>(find(name));
+    return std::get<std::string>(values_[find(name)].second);
 }
 
 }  // namespace mtsm::baseline

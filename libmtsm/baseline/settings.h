@@ -5,6 +5,7 @@
 //     settings->whole("samples");                             // 64
 #pragma once
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <utility>
 #include <variant>
@@ -33,11 +34,15 @@ struct SettingInfo {
     std::string help;  ///< one line, with unit
     double least = 0.0, most = 0.0;
     bool whole = false;
-    std::vector<std::string> words;  ///< that a word may be
+    std::vector<std::string> words{};  ///< that a word may be
     /// "mode=adaptive": it counts only where another setting has this value; elsewhere it
     /// stays at its fallback. Empty: always.
-    std::string with;
+    std::string with{};
+    bool bytes = false;  ///< besides its words it may be a number of bytes: 32M
 };
+
+/// Bytes with an optional suffix K, M, G or T (powers of 1024), at least 1; else nothing.
+[[nodiscard]] std::optional<std::uint64_t> bytesOf(const std::string& text);
 
 [[nodiscard]] SettingInfo wholeSetting(std::string name, double fallback, double least,
                                        double most, std::string help,
@@ -71,14 +76,18 @@ class Settings {
     [[nodiscard]] const std::string& word(const std::string& name) const;
 
     [[nodiscard]] const Given& all() const noexcept { return values_; }
+    /// Was it said, and not left to its fallback?
+    [[nodiscard]] bool given(const std::string& name) const;
 
   private:
-    [[nodiscard]] const SettingValue& find(const std::string& name) const;
+    [[nodiscard]] std::size_t find(const std::string& name) const;
     Given values_;
+    std::vector<bool> given_;  // [values_.size()]
 };
 
-/// The name among `names` that `wrong` was most likely meant to be; empty if none is
-/// near.
+/// The name among `names` that `wrong` was most likely meant to be: the one of the fewest
+/// differing letters, or else the first that begins with it ("near": "near-field"). Empty
+/// if none is near.
 [[nodiscard]] std::string nearestName(const std::string& wrong,
                                       const std::vector<std::string>& names);
 

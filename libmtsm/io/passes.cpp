@@ -326,8 +326,10 @@ Result<Pass> readLayer(Imf::MultiPartInputFile& file, const Layer& layer,
         file, layer.part, names, path, [&](const float* v, std::size_t count) {
             for (const float* end = v + count * stride; v != end; v += stride) {
                 const glm::vec3 p(v[0], v[1], v[2]);
+                const bool hidden = alphaAlong && !(v[3] > 0.0f);
                 pass.values.push_back(p);
-                pass.surface.push_back(isFinite(p) && (!alphaAlong || v[3] > 0.0f));
+                pass.surface.push_back(isFinite(p) && !hidden);
+                pass.hidden += hidden;
             }
         });
     if (!done) return done.error();
@@ -335,8 +337,11 @@ Result<Pass> readLayer(Imf::MultiPartInputFile& file, const Layer& layer,
         std::size_t at = 0;
         done = io::readExrChannels(file, alpha->part, {alpha->channel}, path,
                                    [&](const float* v, std::size_t count) {
-                                       for (std::size_t i = 0; i < count; ++i, ++at)
-                                           if (!(v[i] > 0.0f)) pass.surface[at] = 0;
+                                       for (std::size_t i = 0; i < count; ++i, ++at) {
+                                           if (v[i] > 0.0f) continue;
+                                           pass.surface[at] = 0;
+                                           ++pass.hidden;
+                                       }
                                    });
         if (!done) return done.error();
     }

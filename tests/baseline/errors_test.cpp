@@ -126,3 +126,16 @@ TEST_CASE("one value and equal values have no deviation", "[baseline]") {
     CHECK(same.deviation < 1e-8);
     CHECK(same.bias == Approx(-same.mean));
 }
+
+TEST_CASE("of runs of neighbours the mean is as uncertain as their means differ",
+          "[baseline][exact]") {
+    // Means .1 and .3 of runs of 4: deviation .2 / sqrt(2), by sqrt(2) runs .1; a part
+    // of 8 of 32 values leaves sqrt(3 / 4) of it.
+    const std::vector<float> truth(8, 0.0f);
+    const std::vector<float> found = {0.1f, 0.1f, -0.1f, 0.1f, 0.3f, -0.3f, kNan, 0.3f};
+    CHECK(standardError(found, truth, 4, 32) == Approx(0.1 * std::sqrt(0.75)));
+    CHECK(standardError(found, truth, 4, 8) == 0.0);        // all of them
+    CHECK(std::isinf(standardError(found, truth, 8, 32)));  // one run tells nothing
+    CHECK(std::isinf(standardError({kNan}, {0.0f}, 1, 9)));
+    CHECK(standardError(truth, truth, 4, 32) == 0.0);
+}

@@ -94,6 +94,10 @@ TEST_CASE("the nearest name is near, and the first of equally near ones", "[base
     CHECK(nearestName("samples", names) == "samples");
     CHECK(nearestName("ode", names) == "mode");
     CHECK(nearestName("opacity", names).empty());
+    // One that was cut short, or had a shorter name once.
+    CHECK(nearestName("resol", names) == "resolution");
+    CHECK(nearestName("near", {"layers", "near-field"}) == "near-field");
+    CHECK(nearestName("re", names).empty());
     CHECK(nearestName("", {"resolution"}).empty());
     CHECK(nearestName("x", {}).empty());
 }
@@ -170,4 +174,44 @@ TEST_CASE("rows leave at its fallback what their other settings switch off",
     CHECK(completed("single-sample", largest).word("bounds") == "largest");
     CHECK(completed("single-sample", {largest[0], {"hard", true}}).word("bounds") ==
           "cone");
+}
+
+TEST_CASE("what was given is told from what has its fallback", "[baseline]") {
+    std::vector<SettingInfo> infos = kInfos;
+    infos[2].with = "lookup=trace";
+    const auto settings = Settings::complete(
+        infos, {{"samples", 256.0}, {"lookup", std::string("pcf")}, {"adaptive", true}},
+        "m");
+    REQUIRE(settings);
+    CHECK(settings->given("samples"));  // though it is the fallback
+    CHECK_FALSE(settings->given("bias"));
+    CHECK(settings->given("lookup"));
+    CHECK_FALSE(settings->given("adaptive"));  // beside pcf it does not count
+    CHECK_FALSE(settings->flag("adaptive"));
+}
+
+TEST_CASE("bytes are whole numbers with a suffix, in place of a word where they may be",
+          "[baseline]") {
+    CHECK(bytesOf("1000000") == 1000000u);
+    CHECK(bytesOf("32M") == 32u << 20);
+    CHECK(bytesOf("1g") == 1u << 30);
+    CHECK(bytesOf("2T") == std::uint64_t(2) << 40);
+    CHECK(bytesOf("18446744073709551615") == UINT64_MAX);
+    for (const char* wrong : {"", "M", "0", "0K", "-1", "1.5G", "32MB", " 1", "1 ",
+                              "auto", "16777216T", "18446744073709551616"})
+        CHECK_FALSE(bytesOf(wrong));
+    SettingInfo info = wordSetting("near-field", {"auto", "none"}, "what is kept");
+    CHECK_FALSE(Settings::complete({info}, {{"near-field", std::string("32M")}}, "m"));
+    info.bytes = true;
+    const auto wordOf = [&](const SettingValue& value) -> std::string {
+        const auto settings = Settings::complete({info}, {{"near-field", value}}, "m");
+        return settings ? settings->word("near-field") : settings.error().message;
+    };
+    CHECK(wordOf(std::string("32M")) == "32M");
+    CHECK(wordOf(std::string("none")) == "none");
+    CHECK(wordOf(64000000.0) == "64000000");
+    for (const SettingValue& wrong : {SettingValue(0.0), SettingValue(1.5),
+                                      SettingValue(-1.0), SettingValue(std::string("x"))})
+        CHECK_THAT(wordOf(wrong),
+                   Catch::Contains("one of auto, none, or bytes such as 32M"));
 }

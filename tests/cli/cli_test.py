@@ -14,6 +14,7 @@ import os
 import pathlib
 import re
 import resource
+import shlex
 import shutil
 import signal
 import struct
@@ -306,6 +307,7 @@ class EveryTool(ToolTest):
         self.fails(run("query", "a.mtsm", "--postion=p.exr"), 2, "did you mean --position?")
         done = self.fails(run("dump", "a.mtsm", "--supercalifragilistic"), 2, "there is no such option")
         self.assertNotIn("did you mean", done.stderr)
+        self.fails(run("bake", "scene.obj", *LIGHT, "--resol", 64, "-o", "a.mtsm"), 2, "did you mean --resolution?")
         self.fails(run("bake", "scene.obj", *LIGHT, "--resolution", 64, "--resolution", 32, "-o", "a.mtsm"), 2,
                    "--resolution: is given more than once")
 
@@ -704,6 +706,29 @@ class Casters(ToolTest):
             pathlib.Path("cut.vdb").write_bytes(data[:cut])
             self.fails(self.bake("cut.vdb"), 4, "cut.vdb")
 
+    def test_settings_that_leave_nothing_to_cast_are_named(self):
+        for arguments, *words in (
+                (["fur.hair", "--hair-width", 0], "a hair-width of 0 leaves strands out", "world units"),
+                (["fur.hair", "--hair-opacity", 0], "a hair-opacity of 0 lets all light through", "more than 0"),
+                (["scene.obj", "--opacity", 0], "an opacity of 0 lets all light through", "more than 0"),
+                (["scene.obj", "fur.hair", "--opacity", 0, "--hair-width", 0], "an opacity of 0", "a hair-width of 0")):
+            with self.subTest(arguments=arguments):
+                done = self.fails(self.bake(*arguments), 4, "nothing casts a shadow: ", *words)
+                self.assertNotIn("triangle", done.stderr)
+        job = JOB.replace("scene.obj", "fur.hair").replace('exclude = "floor"', "hair-width = 0")
+        pathlib.Path("job.toml").write_text(job)
+        self.fails(run("bake", "job.toml"), 4, "a hair-width of 0 leaves strands out")
+        self.leaves("scene.obj", "fur.hair", "job.toml")
+        # One of several may be left out like this.
+        self.good(self.bake("scene.obj", "fur.hair", "--hair-width", 0, "--quiet"))
+        make = os.environ.get("MTSM_MAKE_SMOKE")
+        if not make:
+            self.skipTest("no generator of volumes was built")
+        subprocess.run([make, "--size", "16", "-o", "smoke.vdb"], check=True, stderr=subprocess.DEVNULL)
+        done = self.fails(self.bake("smoke.vdb", "--density-scale", 0), 4,
+                          "nothing casts a shadow: a density-scale of 0 makes volumes empty: give more than 0")
+        self.assertNotIn("triangle", done.stderr)
+
     def textured(self):
         """The square of SCENE with texture coordinates and two materials, and a mask of two halves."""
         pathlib.Path("card.obj").write_text(
@@ -727,7 +752,7 @@ class Casters(ToolTest):
                 self.good(self.bake("card.obj", *options))
                 self.assertEqual(self.halves("a.mtsm"), shadows)
                 settings = json.loads(run("dump", "a.mtsm", "--json").stdout)["settings"]
-                self.assertIn("--texture " + texture[-1], settings)
+                self.assertIn("--texture " + shlex.quote(texture[-1]), settings)
         os.mkdir("jobs")
         pathlib.Path("jobs/j.toml").write_text(
             'output = "a.mtsm"\n[light]\nradius = 0.3\nposition = [0, 4, 0]\n[map]\nresolution = 64\n'
@@ -886,7 +911,7 @@ class Bake(ToolTest):
         self.assertNotIn("near field", done.stderr)
         self.assertEqual(json.loads(run("dump", "a.mtsm", "--json").stdout)["nearField"]["chunks"], 0)
         for wrong in ("0", "lots", "-1", "auto "):
-            self.fails(self.bake(*LIGHT, "--near-field", wrong), 2, "--near-field", wrong)
+            self.fails(self.bake(*LIGHT, "--near-field", wrong), 2, "--near-field", wrong, "auto or none")
 
     def test_what_is_no_mesh_is_a_bad_file(self):
         pathlib.Path("text.ply").write_text("this is no mesh at all\n")
@@ -1188,6 +1213,30 @@ class Query(ToolTest):
                        "--normal-pass", "p.exr", "-o", "s.exr"), 2, "6 x 5", "2 x 2")
         self.fails(run("query", "key.mtsm", "--position", "scene.obj", "-o", "s.exr"), 4, "scene.obj")
 
+    def test_a_position_pass_without_a_position_is_a_bad_file(self):
+        zero, nan, inf = [0.0] * 6, [math.nan] * 6, [math.inf] * 6
+        one, query = [1.0] * 6, ["query", "key.mtsm", "--position", "p.exr", "-o", "s.exr"]
+        for x, alpha, *words in (
+                (nan, None, 'p.exr: layer "P": 6 of 6 pixels have no position (NaN or infinite); give the file that has them, '
+                            "or name their layer with --position-layer"),
+                (inf, one, "6 of 6 pixels"), (nan, [0, 0, 1, 1, 1, 1], "4 of 4 pixels where alpha is above 0")):
+            write_exr("p.exr", 3, 2, {"P.X": x, "P.Y": zero, "P.Z": zero, **({"A": alpha} if alpha else {})})
+            self.fails(run(*query), 4, *words)
+        self.leaves("scene.obj", "key.mtsm", "p.exr")
+        # Background is nobody's mistake, whether alpha knows of it or not.
+        part = [0, 0, math.nan, math.nan, math.nan, math.nan]
+        for alpha in (None, one, [1, 1, 0, 0, 0, 0], [1, 1, 1, 0, 0, 0]):
+            write_exr("p.exr", 3, 2, {"P.X": part, "P.Y": zero, "P.Z": zero, **({"A": alpha} if alpha else {})})
+            self.assertEqual(self.good(run(*query)).stderr, "", alpha)
+            self.assertEqual(read_exr("s.exr")[2]["shadow"], [1, 1, 0, 0, 0, 0])
+        # But alpha that shows more than there are positions for is worth a word.
+        write_exr("p.exr", 3, 2, {"P.X": part, "P.Y": zero, "P.Z": zero, "A": [1, 1, 1, 1, 1, 0]})
+        self.assertIn("3 of 5 pixels where alpha is above 0 have no position (NaN or infinite) and are lit",
+                      self.good(run(*query)).stderr)
+        write_exr("p.exr", 3, 2, {"P.X": zero, "P.Y": zero, "P.Z": zero, "A": zero})
+        self.assertIn("warning: p.exr: alpha is 0 in all 6 pixels", self.good(run(*query)).stderr)
+        self.assertEqual(read_exr("s.exr")[2]["shadow"], zero)
+
     def test_json_and_stats(self):
         done = self.good(run("query", "key.mtsm", "--point", "0,0,0", "--point", "3,0,0", "--json",
                              "--stats", "--samples", 16))
@@ -1472,16 +1521,57 @@ class Dump(ToolTest):
         self.assertEqual(done.stdout, run("query", "key.mtsm", "--point", "0,0,0", "--no-near-field").stdout)
         self.assertRegex(done.stdout, "0,0,0,1,0")
 
+    def refuses_as_map(self, path, *words):
+        for command in (["dump", path], ["dump", path, "--validate"], ["query", path, "--point", "0,0,0"]):
+            done = self.fails(run(*command), 4, *words)
+        return done
+
     def test_casters_are_told_to_be_baked(self):
         pathlib.Path("bunny.ply").write_text("ply\n")
         pathlib.Path("fur").write_bytes(hair())
         pathlib.Path("points.csv").write_text("plymouth,0,0\n")
-        self.assertNotIn("a mesh", self.fails(run("dump", "points.csv"), 4, "points.csv").stderr)
+        self.assertNotIn("a mesh", self.refuses_as_map("points.csv", "points.csv").stderr)
         for path, what, target in (("scene.obj", "a mesh", "scene"), ("bunny.ply", "a mesh", "bunny"),
                                    ("fur", "hair", "fur")):
-            for command in (["dump", path], ["dump", path, "--validate"], ["query", path, "--point", "0,0,0"]):
-                self.fails(run(*command), 4, f"{path}: is {what}, not a map: bake it with mtsm-bake '{path}' --light-position X,Y,Z "
-                           f"--light-radius R -o '{target}.mtsm'")
+            self.refuses_as_map(path, f"{path}: is {what}, not a map: bake it with mtsm-bake {path} --light-position X,Y,Z "
+                                f"--light-radius R -o {target}.mtsm")
+
+    def test_what_else_is_no_map_is_told_where_it_belongs(self):
+        pathlib.Path("shot.toml").write_text(JOB)
+        pathlib.Path("grey.png").write_bytes(grey_png([[255]]))
+        pathlib.Path("renamed.mtsm").write_bytes(grey_png([[255]]))
+        write_exr("p.exr", 1, 1, {"P.X": [0], "P.Y": [0], "P.Z": [0]})
+        pathlib.Path("points.csv").write_text("x,y,z\n0,0,0\n")
+        pathlib.Path("notes.txt").write_text("no map at all\n")
+        self.refuses_as_map("shot.toml", "shot.toml: is a job file, not a map: bake it with mtsm-bake shot.toml -o shot.mtsm")
+        for path in ("grey.png", "renamed.mtsm", "p.exr"):
+            self.refuses_as_map(path, f"{path}: is a picture, not a map", "mtsm-bake", "--position")
+        self.refuses_as_map("points.csv", "points.csv: is a table, not a map", "--points", "--rays")
+        self.refuses_as_map("notes.txt", "notes.txt", "is not an MTSM file", "a map is a .mtsm file that mtsm-bake wrote")
+
+    def test_a_map_is_no_caster(self):
+        shutil.copy("key.mtsm", "renamed.obj")
+        for path in ("key.mtsm", "renamed.obj"):
+            self.fails(run("bake", path, *LIGHT, "-o", "a.mtsm"), 4, f"{path}: is a map already, no caster", "mtsm-query",
+                       "mtsm-dump")
+        pathlib.Path("job.toml").write_text(JOB.replace("scene.obj", "key.mtsm"))
+        self.fails(run("bake", "job.toml"), 4, "key.mtsm: is a map already")
+        self.leaves("scene.obj", "key.mtsm", "renamed.obj", "job.toml")
+
+    def test_commands_that_are_told_can_be_pasted_into_a_shell(self):
+        os.mkdir("bin")
+        os.symlink(TOOLS["bake"], "bin/mtsm-bake")
+        for name in ("my scene.obj", "it's.obj", "$HOME `a` \"b\".obj", "a;b&c.obj"):
+            shutil.copy("scene.obj", name)
+            done = self.fails(run("query", name, "--point", "0,0,0"), 4, "bake it with mtsm-bake ")
+            line = re.search("bake it with (.*)$", done.stderr, re.M)[1].replace("X,Y,Z", "0,4,0").replace(" R ", " 0.3 ")
+            self.assertEqual(shlex.split(line)[1], name)
+            made = subprocess.run(line + " --resolution 16", shell=True, capture_output=True, text=True,
+                                  env={**os.environ, "PATH": os.path.abspath("bin") + ":" + os.environ["PATH"]})
+            self.assertEqual(made.returncode, 0, line + "\n" + made.stderr)
+            # So can what a map remembers.
+            settings = json.loads(run("dump", name[:-4] + ".mtsm", "--json").stdout)["settings"]
+            self.assertEqual(shlex.split(settings)[:2], ["mtsm-bake", name])
 
     def test_bytes_are_told_by_plane_and_what_was_left_out(self):
         j = json.loads(self.good(run("dump", "key.mtsm", "--json")).stdout)

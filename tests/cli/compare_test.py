@@ -122,7 +122,7 @@ class Help(Compare):
         self.assertRegex(text, r"(?m)^  resolution = 1024  \(1 to 32768\)  pixels")
         self.assertRegex(text, r"(?m)^  lookup = trace  \(trace, scalar, pcf\)")
         # By the name that mtsm-bake has for it.
-        self.assertRegex(text, r"(?m)^  near-field = auto  \(auto, none\)")
+        self.assertRegex(text, r"(?m)^  near-field = auto  \(auto, none, or bytes such as 32M\)")
 
 
 class CommandLine(Compare):
@@ -217,6 +217,26 @@ class CommandLine(Compare):
         self.assertTrue(3 * scene["pixels"] < scene["points"] <= 4 * scene["pixels"], scene)
         truth = read_exr("out/truth-1.exr")[2]["shadow"]
         self.assertEqual(sum(not math.isnan(t) for t in truth), 128)
+
+    def test_few_pixels_are_told_to_be_a_matter_of_luck(self):
+        job()
+        said = r"\nmeans are of (\d+) of \d+ pixels: by chance they are off by about (.*) of themselves " \
+               r"\(standard error\)(?:; for 10 % (?:take all: --pixels 0|take --pixels (\d+)))?\n$"
+        for pixels, compared in ((70, 64), (320, 320)):
+            done = self.good(self.of_job("--pixels", pixels, "--no-pictures"))
+            found = re.search(said, done.stdout)
+            self.assertTrue(found, done.stdout)
+            self.assertEqual(int(found[1]), compared)
+            errors = [r["standardError"] for r in self.results()["runs"]]
+            if compared == 64:  # one run of neighbours
+                self.assertEqual(found[2], "an unknown part")
+                self.assertEqual(set(errors), {None})
+            else:
+                self.assertRegex(found[2], r"^\d+ %$")
+                self.assertGreater(min(errors), 0)
+        done = self.good(self.of_job("--no-pictures"))
+        self.assertNotIn("by chance", done.stdout)
+        self.assertEqual({r["standardError"] for r in self.results()["runs"]}, {0})
 
     def test_only_what_a_caster_shows_may_count(self):
         job()
@@ -328,6 +348,86 @@ class Chosen(Compare):
         self.assertEqual({r["choice"] for r in self.results("given")["runs"]}, {None})
 
 
+    def labels_and_choices(self, rows, map="", *arguments):
+        job(more=FLOOR + map + rows)
+        shutil.rmtree("out", ignore_errors=True)
+        done = self.good(self.of_job("--light-scales", "1", "--no-pictures", *arguments))
+        self.runs = self.results()["runs"]
+        return done, [(r["label"], (r["choice"] or {}).get("text")) for r in self.runs]
+
+    def test_what_is_given_beside_a_target_stays(self):
+        rows = """[[method]]
+            name = "mtsm"
+            target-error = 0.1
+            resolution = [64, 1024]
+            near-field = "none"
+            samples = 4
+            adaptive = "true"
+            [[method]]
+            name = "mtsm"
+            quality = "draft"
+            """
+        _, found = self.labels_and_choices(rows)
+        # adaptive has no meaning beside a target, as in mtsm-query, and the label does not claim it.
+        self.assertEqual(found[:2], [
+            (f"mtsm resolution={n} near-field=none target-error=0.1 samples=4", f"resolution {n}, 4 samples")
+            for n in (64, 1024)])
+        self.assertEqual(found[2][0], "mtsm target-error=0.02")
+        self.assertRegex(found[2][1], "^resolution 512, ")
+        self.assertEqual([r["settings"]["near-field"] for r in self.runs], ["none", "none", "auto"])
+        self.assertEqual(self.runs[0]["given"], ["resolution", "near-field", "target-error", "samples"])
+        # Without a near field the map expects more of an error.
+        self.assertGreater(self.runs[0]["choice"]["expected"], self.runs[2]["choice"]["expected"])
+        # As mtsm-bake and mtsm-query do.
+        done = self.good(run("bake", "shot.toml", "--target-error", 0.1, "--resolution", 64, "--near-field", "none",
+                             "-o", "key.mtsm", "--json"))
+        self.assertEqual(json.loads(done.stdout)["width"], 64)
+        # A row that says 1024 is not the one that chooses, in the cache neither.
+        _, given = self.labels_and_choices('[[method]]\nname = "mtsm"\ntarget-error = 0.1\nresolution = 1024\n', "",
+                                           "--cache", "kept")
+        _, chosen = self.labels_and_choices('[[method]]\nname = "mtsm"\ntarget-error = 0.1\n', "", "--cache", "kept")
+        self.assertIn("resolution 1024", given[0][1])
+        self.assertIn("resolution 512", chosen[0][1])
+
+    def test_what_excludes_a_target_is_refused(self):
+        for text, *words in (
+                ('target-error = 0.1\nlookup = "pcf"', "lookup: found pcf beside target-error", "leave one of them out"),
+                ('target-error = 0.1\nquality = "draft"', "quality is a target-error by name"),
+                ('quality = "best"', "quality: found best, expected draft, preview or final"),
+                ('quality = 0.1', "quality: found 0.1, expected draft, preview or final")):
+            with self.subTest(text=text):
+                job(more=FLOOR + f'[[method]]\nname = "mtsm"\n{text}\n')
+                self.fails(self.of_job(), 4, "shot.toml:", *words)
+                self.nothing_came_out()
+
+    def test_map_says_what_the_rows_do_not(self):
+        row = '[[method]]\nname = "mtsm"\nsamples = 4\n'
+        settings = '[map]\nresolution = 64\nlayers = 3\nnear-field = {}\n'
+        for near, text in (('"none"', "none"), ('"32M"', "32M"), ("32000000", "32000000")):
+            done, found = self.labels_and_choices(row, settings.format(near))
+            self.assertEqual(found, [(f"mtsm resolution=64 layers=3 near-field={text} samples=4", None)])
+            self.assertEqual(self.runs[0]["settings"]["near-field"], text)
+        self.assertNotIn("warning", done.stderr)
+        _, found = self.labels_and_choices(row + 'near-field = "auto"\n', settings.format('"none"'))
+        self.assertEqual(found[0][0], "mtsm resolution=64 layers=3 near-field=auto samples=4")
+        # What is chosen stays as [map] has it, as in mtsm-bake.
+        _, found = self.labels_and_choices(row + "target-error = 0.1\n", settings.format('"none"'))
+        self.assertEqual(found[0][1], "resolution 64, 4 samples")
+        done, _ = self.labels_and_choices(row, "[map]\nresolution = 64\nrounding = 0.0\ntarget-error = 0.1\ncolor = true\n")
+        for warning in ("shot.toml:20:1: rounding is not compared", "shot.toml:21:1: target-error in [map] is for mtsm-bake",
+                        "shot.toml:22:1: color is not compared"):
+            self.assertIn(warning, done.stderr)
+        for wrong, *words in (("near-field = 'lots'", "near-field: found lots", "auto, none, or bytes such as 32M"),
+                              ("near-fild = 'auto'", '"near-fild"', 'did you mean "near-field"?'),
+                              ("resol = 64", '"resol"', 'did you mean "resolution"?'),
+                              ("resolution = 99999", "map.resolution"), ("tolerance = 5", "tolerance: found 5"),
+                              ("layers = 9999999", "layers: found 9999999")):
+            with self.subTest(wrong=wrong):
+                job(more=FLOOR + "[map]\n" + wrong + "\n" + row)
+                self.fails(self.of_job(folder="none"), 4, "shot.toml:19:1: ", *words)
+                self.assertFalse(os.path.exists("none"))
+
+
 class SceneFile(Compare):
     def test_sweeps_cameras_and_receivers(self):
         job(camera="image = [40, 20]", compare="truth = 32\nmeasured-pixels = 64\nrepeats = 1\n")
@@ -377,6 +477,7 @@ class SceneFile(Compare):
         for wrong, right, *words in (
                 ('"mtsm"', '"mtms"', 'no method "mtms"; did you mean "mtsm"?'),
                 ("samples", "sampels", 'no setting "sampels"; did you mean "samples"?'),
+                ("samples", "near", 'no setting "near"; did you mean "near-field"?'),
                 ("[4, 64]", "[4, 0.5]", "samples: found 0.5, expected a whole number from 1 to 4096"),
                 ("[4, 64]", '"many"', "samples: found many, expected a whole number"),
                 ("[4, 64]", "[]", "samples: found an empty list"),
@@ -589,6 +690,16 @@ class BadInput(Compare):
         pathlib.Path("clear.mtl").write_text("newmtl clear\nd 0\n")
         self.fails(self.compare(inputs=["clear.obj"]), 4, "hold nothing that casts")
         self.nothing_came_out()
+        job()
+        text = pathlib.Path("shot.toml").read_text().replace('file = "table.obj"', 'file = "table.obj"\nopacity = 0')
+        pathlib.Path("shot.toml").write_text(text)
+        self.fails(self.of_job(), 4, "nothing casts a shadow: an opacity of 0 lets all light through: give more than 0")
+        self.nothing_came_out()
+
+    def test_a_map_is_no_caster(self):
+        self.good(run("bake", "table.obj", *LIGHT, "--resolution", 16, "--quiet", "-o", "key.mtsm"))
+        self.fails(self.compare(inputs=["key.mtsm"]), 4, "key.mtsm: is a map already", "mtsm-query", "mtsm-dump")
+        self.assertFalse(os.path.exists("out"))
 
     def test_a_camera_that_sees_nothing(self):
         self.fails(self.compare("--camera-position", "0,5,9", "--camera-target", "0,9,20"), 2,
@@ -656,7 +767,7 @@ class BadInput(Compare):
         job()
         small = ["--truth", 16, "--light-scales", "1"]
         write_exr("P.exr", 3, 2, {"P.X": nan, "P.Y": nan, "P.Z": nan})
-        self.fails(self.of_job(*small, "--position-pass", "P.exr"), 4, "P.exr", "surface")
+        self.fails(self.of_job(*small, "--position-pass", "P.exr"), 4, "P.exr", "6 of 6 pixels have no position")
         write_exr("P.exr", 3, 2, {"P.X": zero, "P.Y": zero, "P.Z": zero, "A": zero})
         self.fails(self.of_job(*small, "--position-pass", "P.exr"), 4, "P.exr", "surface")
         self.fails(self.of_job(*small, "--position-pass", "none.exr"), 3, "none.exr")

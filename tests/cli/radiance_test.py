@@ -29,6 +29,17 @@ class Radiance(cli_test.ToolTest):
     def report(self, *arguments, **more):
         return json.loads(self.good(self.radiance("--json", *arguments, **more)).stdout)
 
+    def test_settings_that_leave_nothing_to_cast_are_named(self):
+        for target in ([], ["--light-target", "0,0,0"]):
+            done = self.radiance("-o", "a.exr", "--opacity", 0, *target)
+            self.assertIn("warning: nothing casts a shadow: an opacity of 0 lets all light through", done.stderr)
+            self.assertEqual(done.returncode, 0 if target else 2)
+
+    def test_a_map_is_no_caster(self):
+        pathlib.Path("key.mtsm").write_bytes(b"\x89MTSM\r\n\x1a\n")
+        self.fails(self.radiance("-o", "a.exr", scene="key.mtsm"), 4, "key.mtsm: is a map already, no caster")
+        self.leaves("scene.obj", "key.mtsm")
+
     def test_help_mentions_every_option_and_the_exit_codes(self):
         text = self.good(run("radiance", "--help")).stdout
         for option in OPTIONS.split():

@@ -275,6 +275,7 @@ TEST_CASE("parts and layers are told apart", "[io][exr]") {
     CHECK(pass->layer == "P");
     for (std::size_t i = 0; i < pass->pixels(); ++i)
         REQUIRE(pass->surface[i] == (i != 5));  // the picture's alpha, in another part
+    CHECK(pass->hidden == 1);
     auto normals = readNormalPass(path, *pass);
     REQUIRE(normals);
     CHECK(normals->values[5] == glm::vec3(0));
@@ -468,6 +469,8 @@ TEST_CASE("pixels without a surface are those without alpha and those not finite
         std::string text;
         for (std::size_t i = 0; i < 8; ++i)
             text += pass->surface[i] ? '1' : '0';
+        // Three are not finite; what else is without a surface, alpha took.
+        CHECK(pass->hidden == (text == "10000010" ? 3 : 0));
         return text;
     };
     CHECK(surfaces("P.", "P.A") == "10000010");

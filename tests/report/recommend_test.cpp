@@ -14,6 +14,7 @@ Json mapRun(const std::string& label, double build, double query, double bytes,
     return {{"method", "mtsm"},
             {"label", label},
             {"light", 0},
+            {"given", Json::array()},
             {"settings",
              {{"resolution", 512.0},
               {"layers", 0.0},
@@ -73,4 +74,14 @@ TEST_CASE("a map that chose its settings is made again by what was asked of it",
     CHECK(contains(text, "mtsm-bake a.ply --light-radius 1 --target-error 0.002 -o "));
     CHECK(contains(text, "N.exr --target-error 0.002 -o "));
     CHECK_FALSE(contains(text, "--samples"));
+}
+
+TEST_CASE("what was given beside a target is given again", "[recommend]") {
+    Json run = mapRun("chosen", 0.7, 0.009, 12e6, 0.002);
+    run["given"] = {"resolution", "near-field", "samples", "target-error"};
+    run["settings"]["near-field"] = "32M";
+    const std::string text = recommended(Json::array({run}));
+    CHECK(contains(text, "--target-error 0.002 --resolution 512 --near-field 32M -o "));
+    CHECK(contains(text, "N.exr --target-error 0.002 --samples 64 -o "));
+    CHECK_FALSE(contains(text, "--tolerance"));
 }

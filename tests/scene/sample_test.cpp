@@ -41,13 +41,16 @@ namespace {
     }
 }
 
-/// Wrong arguments, a folder that is not there, a full disk.
-[[maybe_unused]] void checkFailsAsToolsDo(const std::string& program) {
+/// Wrong arguments, a name that does not end as what is written does, a folder that is
+/// not there, a full disk.
+[[maybe_unused]] void checkFailsAsToolsDo(const std::string& program,
+                                          const std::string& ending) {
     const test::TempFolder folder;
     CHECK(run(program, "-n none") == 2);
     CHECK(run(program, "--unknown") == 2);
     CHECK(run(program, "--help > /dev/null") == 0);
-    CHECK(run(program, "-o " + folder.path("no/such/folder.obj")) == 3);
+    CHECK(run(program, "-o " + folder.path("a.mtsm")) == 2);
+    CHECK(run(program, "-o " + folder.path("no/such/folder" + ending)) == 3);
     if (std::filesystem::exists("/dev/full")) CHECK(run(program, "-o /dev/full") == 3);
 }
 
@@ -85,7 +88,7 @@ TEST_CASE("the sample palm has the triangles asked for, finite and thin",
 TEST_CASE("the sample palm is the same each time and fails as tools do",
           "[scene][sample][bad-input]") {
     checkSameTwice(MTSM_MAKE_PALM, "-n 5000", {"palm.ply"});
-    checkFailsAsToolsDo(MTSM_MAKE_PALM);
+    checkFailsAsToolsDo(MTSM_MAKE_PALM, ".obj");
 }
 
 #endif
@@ -125,6 +128,7 @@ TEST_CASE("the sample tree is the same each time and fails as tools do",
     const test::TempFolder folder;
     CHECK(run(MTSM_MAKE_LEAF_TREE, "-n none") == 2);
     CHECK(run(MTSM_MAKE_LEAF_TREE, "-t 1") == 2);
+    CHECK(run(MTSM_MAKE_LEAF_TREE, "-t 16 -o " + folder.path("tree.ply")) == 2);
     CHECK(run(MTSM_MAKE_LEAF_TREE, "-t 16 -o " + folder.path("no/such/tree.obj")) == 3);
 }
 
@@ -157,7 +161,7 @@ TEST_CASE("the sample pane is glass of the tint and opacity asked for",
 TEST_CASE("the sample pane is the same each time and fails as tools do",
           "[scene][sample][bad-input]") {
     checkSameTwice(MTSM_MAKE_GLASS, "-n 2", {"glass.gltf"});
-    checkFailsAsToolsDo(MTSM_MAKE_GLASS);
+    checkFailsAsToolsDo(MTSM_MAKE_GLASS, ".gltf");
 }
 
 #endif
@@ -244,6 +248,7 @@ TEST_CASE("the sample generator fails as tools do and leaves no half file",
     CHECK(code(make("-n none")) == 2);
     CHECK(code(make("-n 1")) == 2);
     CHECK(code(make("--unknown")) == 2);
+    CHECK(code(make("-o " + folder.path("body.obj"))) == 2);
     CHECK(code(make("-o " + folder.path("no/such/folder.glb"))) == 3);
     if (std::filesystem::exists("/dev/full")) {
         CHECK(code(make("-o /dev/full")) == 3);

@@ -249,6 +249,10 @@ std::string suggestion(std::string_view table, std::string_view unknown) {
         nearest = &k;
         least = d;
     }
+    // What was cut short, or had a shorter name once.
+    for (const Key& k : kKeys)
+        if (!nearest && k.table == table && key.size() > 2 && k.name.starts_with(key))
+            nearest = &k;
     if (nearest)
         return "did you mean " + inQuotes(nearest->name) +
                (nearest->table == table ? "?" : " " + inTable(nearest->table) + "?");

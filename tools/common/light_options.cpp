@@ -58,7 +58,8 @@ void addLightSizeOptions(CLI::App& app, LightOptions& light, const std::string& 
               {"point", "disk", "rect", "sphere", "sun"},
               "what shines (default: " + shapeDefault + ")")
         ->group(group);
-    addTriple(app, "--light-position", light.position, "centre of the light, world space")
+    addTriple(app, "--light-position", light.position,
+              "centre of the light, world space; of a sun none")
         ->group(group);
     addNumber(app, "--light-radius", light.radius, {0.0, kAny}, "R",
               "disk, sphere: radius in world units")

@@ -1,5 +1,8 @@
 #include "common/passes.h"
 
+#include <algorithm>
+
+#include "common/tool.h"
 #include "mtsm/describe.h"
 
 namespace mtsm::tools {
@@ -29,6 +32,25 @@ void warnOfPositions(Talk& talk, const Pass& positions, const std::string& path)
                   " has half floats, which are off by up to a two-thousandth of each "
                   "coordinate: shadows at contacts will be wrong; write positions as "
                   "32-bit floats");
+}
+
+void checkSurfaces(Talk& talk, const Pass& positions, const std::string& path,
+                   const char* wayOut) {
+    const std::size_t pixels = positions.pixels(), left = pixels - positions.hidden;
+    const auto there = std::size_t(
+        std::count(positions.surface.begin(), positions.surface.end(), std::uint8_t(1)));
+    if (left == 0)
+        return talk.warn(path + ": alpha is 0 in all " + countText(pixels) +
+                         " pixels: no pixel has a surface, and all are lit");
+    const std::string text = path + ": " + layerText(positions.layer) + ": " +
+                             countText(left - there) + " of " + countText(left) +
+                             " pixels" +
+                             (positions.hidden ? " where alpha is above 0" : "") +
+                             " have no position (NaN or infinite)";
+    if (there == 0) throw Failure{{ErrorCode::badFile, text + "; " + wayOut}};
+    // Background that alpha does not know of is usual; most of what it shows is not.
+    if (positions.hidden > 0 && 2 * there < left)
+        talk.warn(text + " and are lit; " + wayOut);
 }
 
 void warnOfNormals(Talk& talk, const Pass& normals, const std::string& path) {

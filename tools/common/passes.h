@@ -12,6 +12,11 @@ namespace mtsm::tools {
 
 /// Warns of a layer that may be a picture, and of one too coarse for positions.
 void warnOfPositions(Talk& talk, const Pass& positions, const std::string& path);
+/// Throws a Failure (badFile) if none of the pixels that alpha leaves has a position, and
+/// warns if few of them have one, or alpha leaves none. Without an alpha, pixels without
+/// a position are background, and nobody is told. `wayOut` ends what is said.
+void checkSurfaces(Talk& talk, const Pass& positions, const std::string& path,
+                   const char* wayOut);
 /// Warns of a layer that may be a picture.
 void warnOfNormals(Talk& talk, const Pass& normals, const std::string& path);
 

@@ -33,14 +33,17 @@ void addView(CLI::App& app, PlacementOptions& a) {
               "among their casters (default: fit)")
         ->group(group);
     addNumber(app, "--fov", a.fovDegrees, {0.0, 180.0, true}, "DEG",
-              "full field of view of a square window (default:\n"
-              "the window that fits the casters); not for a sun")
+              "full field of view of a square window, more than 0 and\n"
+              "below 180 (default: the window that fits the\n"
+              "casters); not for a sun")
         ->group(group);
     addNumber(app, "--near", a.near, {0.0, kAny}, "Z",
-              "keep nothing nearer to the light than this")
+              "keep nothing nearer to the light than this, world\n"
+              "units (default: all that is before the light)")
         ->group(group);
     addNumber(app, "--far", a.far, {0.0, kAny}, "Z",
-              "keep nothing farther from the light than this")
+              "keep nothing farther from the light than this, world\n"
+              "units (default: no end)")
         ->group(group);
     addChoice(app, "--cull", a.cull, {"none", "back", "front"},
               "leave out faces turned away from (back) or to\n"

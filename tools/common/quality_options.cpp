@@ -23,12 +23,12 @@ void addQualityOptions(CLI::App& app, QualityOptions& options, const std::string
                        const std::string& group) {
     addChoice(app, "--quality", options.quality, kQualities,
               "choose " + chosen +
-                  "\nfor a mean error of 0.02, 0.005 or 0.001;\n"
+                  ",\nfor a mean error of 0.02, 0.005 or 0.001;\n"
                   "options that are given stay as they are")
         ->group(group);
     addNumber(app, "--target-error", options.targetError, {0.0001, 1.0}, "E",
-              "the same for a mean error of the shadow factor over\n"
-              "the picture's points of your own, such as 0.002")
+              "the same for a mean error of your own, 0.0001 to 1,\n"
+              "of the shadow factor over the picture's points")
         ->group(group)
         ->excludes(app.get_option("--quality"));
 }
@@ -43,8 +43,12 @@ std::optional<float> bakedFor(const std::string& settings) {
     const std::string error = valueOf("--target-error"), quality = valueOf("--quality");
     if (const float asked = std::strtof(error.c_str(), nullptr); asked > 0.0f)
         return asked;
+    return errorOfQuality(quality);
+}
+
+std::optional<float> errorOfQuality(const std::string& word) {
     for (std::size_t i = 0; i < kQualities.size(); ++i)
-        if (quality == kQualities[i]) return mtsm::meanError(static_cast<Quality>(i));
+        if (word == kQualities[i]) return mtsm::meanError(static_cast<Quality>(i));
     return std::nullopt;
 }
 

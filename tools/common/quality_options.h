@@ -21,6 +21,9 @@ struct QualityOptions {
 void addQualityOptions(CLI::App& app, QualityOptions& options, const std::string& chosen,
                        const std::string& group);
 
+/// The mean error that "draft", "preview" and "final" stand for; nothing of other words.
+[[nodiscard]] std::optional<float> errorOfQuality(const std::string& word);
+
 /// The mean error that a map was baked for, told from the settings that it remembers;
 /// nothing if they name none.
 [[nodiscard]] std::optional<float> bakedFor(const std::string& settings);

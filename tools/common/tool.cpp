@@ -50,6 +50,11 @@ std::string suggestion(const CLI::App& app, const std::string& unknown) {
         nearest = known;
         least = d;
     }
+    // What was cut short, or had a shorter name once.
+    for (const CLI::Option* option : app.get_options())
+        if (nearest.empty() && name.size() > 4 && !option->get_positional() &&
+            option->get_name().starts_with(name))
+            nearest = option->get_name();
     return nearest.empty() ? "" : "; did you mean " + nearest + "?";
 }
 
@@ -176,6 +181,17 @@ std::string extension(const std::string& path) {
     for (char& c : text)
         c = char(std::tolower(static_cast<unsigned char>(c)));
     return text;
+}
+
+std::string quotedForShell(const std::string& text) {
+    const bool plain = text.find_first_not_of(
+                           "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
+                           "0123456789._/-+,=") == std::string::npos;
+    if (plain && !text.empty()) return text;
+    std::string all = "'";
+    for (const char c : text)
+        all += c == '\'' ? std::string("'\\''") : std::string(1, c);
+    return all + "'";
 }
 
 std::string bytesText(std::uint64_t bytes) {

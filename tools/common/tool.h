@@ -58,6 +58,9 @@ void print(const std::string& text);
 /// The file name's extension in lower case, with its dot: ".exr".
 [[nodiscard]] std::string extension(const std::string& path);
 
+/// `text` so that a shell takes it for one word: for every command that is printed.
+[[nodiscard]] std::string quotedForShell(const std::string& text);
+
 // Numbers as people read them.
 [[nodiscard]] std::string bytesText(std::uint64_t bytes);  ///< "4.21 MB"
 [[nodiscard]] std::string countText(std::uint64_t count);  ///< "1 234 567"

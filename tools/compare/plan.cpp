@@ -2,7 +2,9 @@
 
 #include <algorithm>
 
+#include "common/quality_options.h"
 #include "common/tool.h"
+#include "mtsm/describe.h"
 
 namespace mtsm::tools {
 namespace {
@@ -70,25 +72,65 @@ PlannedRun makeRun(const MethodInfo& info, Settings settings,
         const bool named = std::any_of(given.begin(), given.end(), [&](const auto& g) {
             return g.first == setting.name;
         });
-        const bool counts = counting(run.settings, setting);
-        if (samples && targetError(run) > 0.0) continue;  // it chooses
-        if (value != setting.fallback || samples || (named && counts)) run.label += text;
-        if (value != setting.fallback && !samples) run.series += text;
+        const bool said = named && counting(run.settings, setting);
+        // What is not said is chosen, perhaps as something else than the fallback.
+        const bool chooses = targetError(run) > 0.0;
+        if (chooses && setting.use == SettingUse::build && said) run.buildKey += "!";
+        if (value != setting.fallback || (samples && !chooses) || said) run.label += text;
+        if (!samples && (value != setting.fallback || (chooses && said)))
+            run.series += text;
     }
     return run;
+}
+
+/// What is meant by one setting of a row: quality of a map is a target-error, by name.
+std::pair<std::string, baseline::SettingValue> meantBy(const std::string& method,
+                                                       const std::string& name,
+                                                       const JobMethod::Value& value,
+                                                       const std::string& place) {
+    if (method != "mtsm" || name != "quality") return {name, value};
+    const auto* word = std::get_if<std::string>(&value);
+    if (const auto error = word ? errorOfQuality(*word) : std::nullopt)
+        return {"target-error", std::stod(shortText(*error))};  // 0.005, not 0.00499999
+    throw Failure{{ErrorCode::badFile, place + "method mtsm, quality: found " +
+                                           printable(baseline::settingText(value)) +
+                                           ", expected draft, preview or final"}};
+}
+
+/// Refuses a row whose settings exclude each other.
+void checkRow(const JobMethod& method, const Settings& settings,
+              const std::string& place) {
+    if (method.name != "mtsm" || !(settings.number("target-error") > 0.0)) return;
+    if (settings.word("lookup") != "trace")
+        throw Failure{{ErrorCode::badFile,
+                       place + "method mtsm, lookup: found " + settings.word("lookup") +
+                           " beside target-error, which is for lookup = \"trace\"; leave "
+                           "one of them out"}};
+}
+
+void checkNames(const JobMethod& method, const std::string& place) {
+    const auto has = [&](const char* name) {
+        return std::any_of(method.settings.begin(), method.settings.end(),
+                           [&](const auto& s) { return s.first == name; });
+    };
+    if (method.name == "mtsm" && has("quality") && has("target-error"))
+        throw Failure{{ErrorCode::badFile,
+                       place + "method mtsm: quality is a target-error by name: leave "
+                               "one of them out"}};
 }
 
 /// All combinations, the last setting changing fastest.
 void addCombinations(const JobMethod& method, const MethodInfo& info,
                      const Settings::Given& defaults, std::vector<PlannedRun>& runs) {
     std::vector<std::size_t> at(method.settings.size(), 0);
+    const std::string place = method.place.empty() ? "" : method.place + ": ";
+    checkNames(method, place);
     while (true) {
         Settings::Given given = defaults;
         for (std::size_t i = 0; i < at.size(); ++i)
-            given.emplace_back(method.settings[i].first,
-                               method.settings[i].second[at[i]]);
+            given.push_back(meantBy(method.name, method.settings[i].first,
+                                    method.settings[i].second[at[i]], place));
         auto settings = Settings::complete(info.settings, given, info.name);
-        const std::string place = method.place.empty() ? "" : method.place + ": ";
         if (!settings)
             throw Failure{{ErrorCode::badFile, place + settings.error().message}};
         if (runs.size() == kMostRuns)
@@ -96,6 +138,7 @@ void addCombinations(const JobMethod& method, const MethodInfo& info,
                                                    std::to_string(kMostRuns) +
                                                    " combinations of settings; leave "
                                                    "some values out"}};
+        checkRow(method, *settings, place);
         runs.push_back(makeRun(info, *std::move(settings), given));
         std::size_t i = at.size();
         while (i > 0 && ++at[i - 1] == method.settings[i - 1].second.size())
@@ -154,6 +197,7 @@ std::string methodsText() {
             if (!s.words.empty()) {
                 for (const std::string& word : s.words)
                     range += (range.empty() ? "" : ", ") + word;
+                if (s.bytes) range += ", or bytes such as 32M";
             } else if (std::holds_alternative<bool>(s.fallback)) {
                 range = "true, false";
             } else {

@@ -100,12 +100,20 @@ std::string mapLines(const Json& run, const Json& light, const std::string& inpu
     const Json& s = run["settings"];
     const bool chosen = s["target-error"] > 0.0;
     const std::string target = " --target-error " + numberText(s["target-error"]);
+    // What is not given beside a target is chosen again.
+    const auto option = [&](const char* name) -> std::string {
+        const Json& given = run["given"];
+        if (chosen && std::find(given.begin(), given.end(), name) == given.end())
+            return "";
+        const Json& value = s[name];
+        return std::string(" --") + name + " " +
+               (value.is_string() ? value.get<std::string>() : numberText(value));
+    };
     std::string bake = "  mtsm-bake " + input + lightSize(light);
-    bake += chosen ? target : " --resolution " + numberText(s["resolution"]);
+    if (chosen) bake += target;
+    bake += option("resolution");
     if (s["layers"] > 0.0) bake += " --layers " + numberText(s["layers"]);
-    if (!chosen)
-        bake += " --near-field " + s["near-field"].get<std::string>() + " --tolerance " +
-                numberText(s["tolerance"]);
+    bake += option("near-field") + option("tolerance");
     if (s["subsamples"] > 1.0) bake += " --subsamples " + numberText(s["subsamples"]);
     if (s["bias"] >= 0.0) bake += " --bias " + numberText(s["bias"]);
     std::string query =
@@ -114,8 +122,9 @@ std::string mapLines(const Json& run, const Json& light, const std::string& inpu
     if (positionPass.empty() || !normalPass.empty())
         query += " --normal-pass " +
                  quotedForShell(normalPass.empty() ? "shot.N.exr" : normalPass);
-    query += chosen ? target : " --samples " + numberText(s["samples"]);
-    if (!chosen && s["adaptive"] == "true") query += " --adaptive";
+    if (chosen) query += target;
+    query += option("samples");
+    if (s["adaptive"] == "true") query += " --adaptive";
     if (s["query-bias"] >= 0.0) query += " --bias " + numberText(s["query-bias"]);
     if (s["lookup"] != "trace") query += " --method " + s["lookup"].get<std::string>();
     if (s["attenuation"] == "subtract") query += " --attenuation subtract";
@@ -123,16 +132,6 @@ std::string mapLines(const Json& run, const Json& light, const std::string& inpu
 }
 
 }  // namespace
-
-std::string quotedForShell(const std::string& text) {
-    if (text.find_first_not_of("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
-                               "0123456789._/-+,=") == std::string::npos)
-        return text;
-    std::string all = "'";
-    for (const char c : text)
-        all += c == '\'' ? std::string("'\\''") : std::string(1, c);
-    return all + "'";
-}
 
 Wish parseWish(const std::string& text) {
     const auto wrong = [&] {

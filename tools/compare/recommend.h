@@ -13,9 +13,6 @@ struct Wish {
     double value = 0.0;  ///< error, or seconds
 };
 
-/// `text` so that a shell takes it for one word.
-std::string quotedForShell(const std::string& text);
-
 /// "error=0.005", "time=2s" (ms, s, min); UsageError if it is neither.
 Wish parseWish(const std::string& text);
 

@@ -241,8 +241,11 @@ Json choiceJson(const RunResult& r, const PlannedRun& run, ErrorKind error) {
 
 Json runJson(const RunResult& r, const PlannedRun& run, ErrorKind error) {
     Json settings = Json::object(), errors;
-    for (const auto& [name, value] : run.settings.all())
+    Json given = Json::array();
+    for (const auto& [name, value] : run.settings.all()) {
         settings[name] = settingJson(value);
+        if (run.settings.given(name)) given.push_back(name);
+    }
     for (std::size_t k = 0; k < r.errors.size(); ++k)
         errors[kErrorKinds[k]] = errorsJson(r.errors[k]);
     return {{"id", idOf(r, run)},
@@ -251,6 +254,7 @@ Json runJson(const RunResult& r, const PlannedRun& run, ErrorKind error) {
             {"series", run.series},
             {"light", r.light},
             {"settings", settings},
+            {"given", given},
             {"choice", choiceJson(r, run, error)},
             {"build",
              {{"seconds", r.build.all->median},
@@ -263,6 +267,8 @@ Json runJson(const RunResult& r, const PlannedRun& run, ErrorKind error) {
               {"firstAnswer", r.firstAnswer}}},
             {"unanswered", r.unanswered},
             {"errors", errors},
+            {"standardError",
+             std::isfinite(r.standardError) ? Json(r.standardError) : Json()},
             {"image", nullptr},
             {"difference", nullptr}};
 }
@@ -404,6 +410,44 @@ std::string resultsCsv(const Json& results) {
     return out.str();
 }
 
+namespace {
+
+/// Of how many pixels the errors are and what that is worth, where it is not all.
+std::string partText(const Json& results) {
+    constexpr double kGood = 0.1;
+    const auto compared = results["scene"]["comparedPixels"].get<std::uint64_t>(),
+               all = results["scene"]["pixels"].get<std::uint64_t>();
+    if (compared >= all) return "";
+    // The middle one of the rows: some have next to no error, and all of it in one run.
+    std::vector<double> shares;
+    for (const Json& run : results["runs"]) {
+        const Json &image = run["errors"]["image"], &error = run["standardError"];
+        if (image.is_null() || !(image["mean"] > 0.0)) continue;
+        shares.push_back(error.is_null()
+                             ? HUGE_VAL
+                             : error.get<double>() / image["mean"].get<double>());
+    }
+    const std::string text =
+        "\nmeans are of " + countText(compared) + " of " + countText(all) + " pixels";
+    if (shares.empty()) return text + "\n";
+    std::nth_element(shares.begin(), shares.begin() + long(shares.size() / 2),
+                     shares.end());
+    const double share = shares[shares.size() / 2];
+    const double needed = double(compared) * share * share / (kGood * kGood);
+    std::string percent = "an unknown part";
+    if (std::isfinite(share)) percent = numberText(std::ceil(100.0 * share)) + " %";
+    std::string more;
+    if (share > kGood)
+        more = !(needed < double(all))
+                   ? "; for 10 % take all: --pixels 0"
+                   : "; for 10 % take --pixels " +
+                         std::to_string(64 * (std::uint64_t(needed) / 64 + 1));
+    return text + ": by chance they are off by about " + percent +
+           " of themselves (standard error)" + more + "\n";
+}
+
+}  // namespace
+
 std::string resultsText(const Json& results) {
     std::ostringstream out;
     out.imbue(std::locale::classic());
@@ -414,20 +458,24 @@ std::string resultsText(const Json& results) {
         text << std::fixed << std::setprecision(3) << t["median"].get<double>();
         return text.str();
     };
+    int width = 50;  // of the labels
+    for (const Json& run : results["runs"])
+        width = std::max(width, int(run["label"].get<std::string>().size()));
     for (std::size_t l = 0; l < results["lights"].size(); ++l) {
         const Json& light = results["lights"][l];
         out << (l ? "\n" : "") << "light " << l + 1 << ": "
             << light["text"].get<std::string>() << "\n"
-            << std::left << std::setw(52) << "  method" << std::right << std::setw(9)
-            << "mean" << std::setw(9) << "std" << std::setw(9) << "p99" << std::setw(9)
-            << "object" << std::setw(11) << "build s" << std::setw(11) << "query s"
-            << std::setw(11) << "all thr. s" << std::setw(10) << "MB"
+            << std::left << std::setw(width + 2) << "  method" << std::right
+            << std::setw(9) << "mean" << std::setw(9) << "std" << std::setw(9) << "p99"
+            << std::setw(9) << "object" << std::setw(11) << "build s" << std::setw(11)
+            << "query s" << std::setw(11) << "all thr. s" << std::setw(10) << "MB"
             << "\n";
         for (const Json& run : results["runs"]) {
             if (run["light"].get<std::size_t>() != l) continue;
             const Json &image = run["errors"]["image"], &object = run["errors"]["object"];
-            out << "  " << std::left << std::setw(50) << run["label"].get<std::string>()
-                << std::right << std::fixed << std::setprecision(5);
+            out << "  " << std::left << std::setw(width)
+                << run["label"].get<std::string>() << std::right << std::fixed
+                << std::setprecision(5);
             if (image.is_null())
                 out << std::setw(27) << "no answer";
             else
@@ -453,6 +501,7 @@ std::string resultsText(const Json& results) {
                     << "\n";
         }
     }
+    out << partText(results);
     // A reason is said once, with how many it keeps away.
     std::map<std::string, std::vector<std::string>> reasons;
     for (const Json& failed : results["failed"])

@@ -7,6 +7,7 @@
 
 #include "baseline/content.h"
 #include "common/arguments.h"
+#include "common/casters.h"
 #include "common/passes.h"
 #include "common/tool.h"
 #include "mtsm/passes.h"
@@ -124,7 +125,7 @@ CompareScene::CompareScene(const std::vector<CasterFile>& casters,
         if (Status good = checkLight(lights_.back().light); !good)
             throw UsageError("--light-scales: " + good.error().message);
     }
-    readCasters(talk);
+    readCasters(casters, talk);
     placeReceivers(receivers, talk);
     takePicture(camera, talk);
     allPixels_ = picture_.pixels();
@@ -138,7 +139,7 @@ CompareScene::CompareScene(const std::vector<CasterFile>& casters,
                                   baseline::contentOf(picture_.receivers()));
 }
 
-void CompareScene::readCasters(Talk& talk) {
+void CompareScene::readCasters(const std::vector<CasterFile>& files, Talk& talk) {
     unwrap(casters_->visit([&](const CasterView& caster) -> Status {
         count(caster, counts_);
         return {};
@@ -149,9 +150,11 @@ void CompareScene::readCasters(Talk& talk) {
     // A light that aims at nothing yet looks at the middle of the casters.
     const glm::dvec3 low = reference_->boundsMin(), high = reference_->boundsMax();
     if (!(low.x <= high.x))
-        throw Failure{{ErrorCode::badFile,
-                       "the casters hold nothing that casts: no triangle, strand or "
-                       "voxel of a finite place and an opacity above 0"}};
+        throw Failure{withEmptying({ErrorCode::badFile,
+                                    "the casters hold nothing that casts: no triangle, "
+                                    "strand or voxel of a finite place and an opacity "
+                                    "above 0"},
+                                   files)};
     if (bake_.light.shape == LightShape::sun || bake_.aimed) return;
     const glm::dvec3 target = bake_.target.value_or(0.5 * (low + high));
     for (ComparedLight& l : lights_) {
@@ -218,6 +221,9 @@ void CompareScene::takePicture(const CameraOptions& options, Talk& talk) {
             throw UsageError("--points: a position pass has one point a pixel");
         const Pass positions = unwrap(readPositionPass(options.positionPass));
         warnOfPositions(talk, positions, options.positionPass);
+        if (positions.hidden < positions.pixels())
+            checkSurfaces(talk, positions, options.positionPass,
+                          "give the file that has them");
         std::vector<glm::vec3> normals;
         if (!options.normalPass.empty()) {
             Pass pass = unwrap(readNormalPass(options.normalPass, positions));
@@ -229,7 +235,7 @@ void CompareScene::takePicture(const CameraOptions& options, Talk& talk) {
         if (picture_.pixels() == 0)
             throw Failure{{ErrorCode::badFile, options.positionPass +
                                                    ": no pixel of the position pass has "
-                                                   "a surface"}};
+                                                   "a surface: alpha is 0 everywhere"}};
         return;
     }
     if (!options.normalPass.empty())

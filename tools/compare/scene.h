@@ -64,7 +64,7 @@ class CompareScene {
     [[nodiscard]] baseline::MethodScene methodScene(std::size_t light) const;
 
   private:
-    void readCasters(Talk& talk);
+    void readCasters(const std::vector<CasterFile>& files, Talk& talk);
     void placeReceivers(const std::vector<JobReceiver>& receivers, Talk& talk);
     void takePicture(const CameraOptions& camera, Talk& talk);
     [[nodiscard]] baseline::Camera cameraOf(const CameraOptions& camera) const;

@@ -353,6 +353,8 @@ void Session::judge(std::size_t light, RunResult& result) const {
         baseline::measureErrors(result.values, truth, picture.object),
         baseline::measureErrors(result.values, truth, {}, cosines),
         baseline::measureErrors(result.values, truth, picture.object, cosines)};
+    result.standardError =
+        baseline::standardError(result.values, truth, Picture::kRun, scene_.allPixels());
 }
 
 void Session::sayWhatIsLeftOut() const {
@@ -422,7 +424,7 @@ std::uint64_t Session::groupKey(std::size_t light) const {
         baseline::embreeVersion() + " " + std::to_string(options_.measuredPixels) + " " +
         std::to_string(options_.repeats) + " " + std::to_string(options_.threads);
     for (const PlannedRun& run : plan_) {
-        text += "\n" + run.method->name;
+        text += "\n" + run.label;  // which begins with its method
         for (const auto& [name, value] : run.settings.all())
             text += " " + name + "=" + baseline::settingText(value);
     }

@@ -60,6 +60,8 @@ struct RunResult {
     std::size_t unanswered = 0;
     /// Over the image, over the object, the same two times the cosine to the light.
     std::array<baseline::Errors, 4> errors;
+    /// Of the image's mean error, where a part of the picture is compared.
+    double standardError = 0.0;
 };
 
 struct LightResult {

@@ -57,6 +57,9 @@ struct Pass {
     /// the layer's own alpha, or else the alpha of the picture it belongs to (A, RGBA.A
     /// or Combined.A beside it).
     std::vector<std::uint8_t> surface;
+    /// Pixels without one by their alpha; the others of them have values that are not
+    /// finite.
+    std::size_t hidden = 0;
 
     [[nodiscard]] std::size_t pixels() const noexcept { return values.size(); }
 };
