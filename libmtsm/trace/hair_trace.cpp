@@ -30,6 +30,7 @@
 #include "hwy/cache_control.h"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
+#include "trace/compress-inl.h"
 #include "trace/lanes-inl.h"
 
 #ifndef MTSM_TRACE_HAIR_VIEW
@@ -487,7 +488,7 @@ void HairWalk::wait(int lane, const Segments& segments, std::uint32_t which) {
     for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
         const Mask mask = maskOf(which >> i);
         const auto put = [&](Vec x, float* to) {
-            hn::StoreU(hn::Compress(x, mask), d, to + waiting.count);
+            hn::StoreU(compress(d, x, mask), d, to + waiting.count);
         };
         for (int e = 0; e < 2; ++e) {
             for (int axis = 0; axis < 3; ++axis)
