@@ -339,10 +339,22 @@ NearField packNear(const std::vector<NearTriangle>& triangles,
 NearHair packNear(const std::vector<NearSegment>& segments,
                   const Projection& projection) {
     NearHair hair;
+    std::vector<std::vector<NearHairChunks::Row>> more;
     pack(
-        segments, projection, [&](std::size_t chunks) { hair.chunks.resize(chunks); },
-        [&](std::size_t, std::size_t i, const Run<Segment>& run,
-            const Footprints& footprints) { hair.chunks[i] = chunkOf(run, footprints); });
+        segments, projection,
+        [&](std::size_t chunks) {
+            hair.chunks.resize(chunks);
+            more.resize(tasksFor(chunks));
+        },
+        [&](std::size_t task, std::size_t i, const Run<Segment>& run,
+            const Footprints& footprints) {
+            hair.chunks.set(i, chunkOf(run, footprints), more[task]);
+        });
+    for (std::size_t task = 0; task < more.size(); ++task) {
+        const std::size_t first = task * kChunksPerTask;
+        hair.chunks.addMore(first, std::min(kChunksPerTask, hair.chunks.size() - first),
+                            more[task]);
+    }
     return hair;
 }
 

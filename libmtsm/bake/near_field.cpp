@@ -52,7 +52,7 @@ Result<Found> collect(Visits& visits, const Projection& projection,
     const std::uint64_t mostTriangles =
         std::min(bytes / NearChunks::memoryBytes(1, kFewestPoints) * kOfChunk,
                  bytesLeft / kWorkOfTriangle);
-    const std::uint64_t mostSegments = bytes / sizeof(NearHairChunk) * kOfChunk;
+    const std::uint64_t mostSegments = bytes / NearHairChunks::kLeastBytes * kOfChunk;
     const glm::dvec2 window(options.width, options.height);
     Found found;
     const Status status = visits.each([&](const CasterView& caster) -> Status {
@@ -99,7 +99,7 @@ Status bakeNearField(Visits& visits, const BakeOptions& options, const CasterKin
         if (counted || others) continue;
         face.nearField = packNear(found->triangles.items, face.projection);
         face.nearHair = packNear(found->segments.items, face.projection);
-        bytes += memoryBytes(face.nearField) + nearHairBytes(face.nearHair.chunks.size());
+        bytes += memoryBytes(face.nearField) + memoryBytes(face.nearHair);
     }
     if (others) {
         report.nearTriangles = report.nearSegments = 0;

@@ -11,9 +11,7 @@ namespace {
 constexpr std::size_t kWords = 6, kCoordinates = 6 * NearChunk::kTriangles;  // of a chunk
 
 /// Byte j of a chunk's words lies in plane j, word by word; of its coordinates likewise.
-struct CoordinateParts {
-    using Chunks = NearSheetChunks;
-    static constexpr bool kInPlace = false;
+struct CoordinateParts : AppendedParts<NearSheetChunks> {
     static constexpr std::uint64_t kMostPoints = 0;
 
     static std::uint64_t memoryBytes(std::uint64_t chunks, std::uint64_t) {
@@ -50,8 +48,9 @@ struct CoordinateParts {
         }
         return content;
     }
-    static Status decode(BytesView content, std::size_t count, std::uint32_t,
-                         Chunks& chunks, std::size_t) {
+    static Status decode(BytesView content, const ChunkPart& place, std::uint32_t,
+                         Chunks&, Part& part) {
+        const std::size_t count = place.count;
         const std::uint8_t* const rest = content.data() + 4 * kWords * count;
         for (std::size_t i = 0; i < count; ++i) {
             NearSheetChunk c;
@@ -70,9 +69,9 @@ struct CoordinateParts {
             for (std::size_t k = 0; k < kCoordinates; ++k)
                 uv[k] = std::uint16_t(rest[i * kCoordinates + k] |
                                       rest[(count + i) * kCoordinates + k] << 8);
-            chunks.push_back(c);
+            part.push_back(c);
         }
-        chunks.shrink_to_fit();
+        part.shrink_to_fit();
         return {};
     }
 };

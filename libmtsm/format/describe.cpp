@@ -101,7 +101,7 @@ void describeNearField(const ShadowMap& map, Description& d) {
         const NearHair& hair = map.nearHair(face);
         d.nearSegments += hair.segments();
         d.nearChunks += hair.chunks.size();
-        d.nearBytes += nearHairBytes(hair.chunks.size());
+        d.nearBytes += mtsm::memoryBytes(hair);
         const NearSheets& sheets = map.nearSheets(face);
         for (std::size_t i = 0; i < sheets.chunks.size(); ++i)
             d.nearTriangles += sheets.chunks.place(i).triangles;

@@ -75,8 +75,8 @@ void put(const NearHairChunk& chunk, std::size_t i, const HairLayout<std::uint8_
 }
 
 /// Undoes put().
-void take(const HairLayout<const std::uint8_t>& from, std::size_t i,
-          NearHairChunk& chunk) {
+NearHairChunk take(const HairLayout<const std::uint8_t>& from, std::size_t i) {
+    NearHairChunk chunk;
     for (std::size_t f = 0; f < kFloats; ++f) {
         std::uint32_t bits = 0;
         for (std::size_t j = 0; j < 4; ++j)
@@ -101,14 +101,18 @@ void take(const HairLayout<const std::uint8_t>& from, std::size_t i,
         for (std::size_t end = 0; end < 2; ++end)
             chunk.half[end][segment] = from.atHalf(end, i, segment);
     }
+    return chunk;
 }
 
 struct HairParts {
-    using Chunks = std::vector<NearHairChunk>;
-    static constexpr bool kInPlace = true;
+    using Chunks = NearHairChunks;
+    using Part = std::vector<Chunks::Row>;
     static constexpr std::uint64_t kMostPoints = 0;
+    /// At most so: what does not fit in a chunk's place is there three times, by part, in
+    /// what parts grew by, and all together.
     static std::uint64_t memoryBytes(std::uint64_t chunks, std::uint64_t) {
-        return nearHairBytes(chunks);
+        constexpr std::uint64_t most = 3 * Chunks::kMostBytes - 2 * Chunks::kLeastBytes;
+        return nearHairBytes(chunks) + chunks * (most - Chunks::kLongBytes);
     }
     static bool checkPoints(std::uint64_t points, std::uint64_t) { return points == 0; }
     static std::uint64_t contentBytes(std::uint64_t chunks, std::uint64_t) {
@@ -122,12 +126,24 @@ struct HairParts {
             put(chunks[first + i], i, HairLayout<std::uint8_t>{content.data(), count});
         return content;
     }
-    static Status decode(BytesView content, std::size_t count, std::uint32_t,
-                         Chunks& chunks, std::size_t first) {
-        for (std::size_t i = 0; i < count; ++i)
-            take(HairLayout<const std::uint8_t>{content.data(), count}, i,
-                 chunks[first + i]);
+    static void begin(Chunks& chunks, std::size_t count) { chunks.resize(count); }
+    static Status decode(BytesView content, const ChunkPart& place, std::uint32_t,
+                         Chunks& chunks, Part& more) {
+        const HairLayout<const std::uint8_t> from{content.data(), place.count};
+        for (std::size_t i = 0; i < place.count; ++i)
+            chunks.set(place.first + i, take(from, i), more);
         return {};
+    }
+    static void join(Chunks& chunks, const ChunkPart* places, Part* parts,
+                     std::size_t count) {
+        std::size_t rows = 0;
+        for (std::size_t i = 0; i < count; ++i)
+            rows += parts[i].size();
+        chunks.reserveMore(rows);
+        for (std::size_t i = 0; i < count; ++i) {
+            chunks.addMore(places[i].first, places[i].count, parts[i]);
+            parts[i] = {};
+        }
     }
 };
 
@@ -141,14 +157,14 @@ bool hasNearHair(const ShadowMap& map) noexcept {
 }
 
 Bytes encodeHair(const ShadowMap& map, Codec codec, int level) {
-    std::vector<const std::vector<NearHairChunk>*> faces;
+    std::vector<const NearHairChunks*> faces;
     for (std::uint32_t face = 0; face < map.faceCount(); ++face)
         faces.push_back(&map.nearHair(face).chunks);
     return encodeParts<HairParts>(faces, codec, level);
 }
 
 Status decodeHair(BytesView payload, std::uint64_t most, std::vector<MapFace>& faces) {
-    std::vector<std::vector<NearHairChunk>*> chunks;
+    std::vector<NearHairChunks*> chunks;
     for (MapFace& face : faces)
         chunks.push_back(&face.nearHair.chunks);
     return decodeParts<HairParts>(payload, most, chunks);

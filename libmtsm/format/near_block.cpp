@@ -137,9 +137,7 @@ Status decodeContent(const PartLayout<const std::uint8_t>& from, NearChunks& chu
     return {};
 }
 
-struct TriangleParts {
-    using Chunks = NearChunks;
-    static constexpr bool kInPlace = false;
+struct TriangleParts : AppendedParts<NearChunks> {
     static constexpr std::uint64_t kMostPoints = kCorners;  // of a chunk
     /// Twice: by part, and all together. At most so: as many chunks as points allow have
     /// more of them than can be shared.
@@ -163,10 +161,10 @@ struct TriangleParts {
                            std::uint32_t& points) {
         return format::contentOf(chunks, first, count, points);
     }
-    static Status decode(BytesView content, std::size_t count, std::uint32_t points,
-                         Chunks& chunks, std::size_t) {
+    static Status decode(BytesView content, const ChunkPart& place, std::uint32_t points,
+                         Chunks&, Part& part) {
         return decodeContent(
-            PartLayout<const std::uint8_t>{content.data(), count, points}, chunks);
+            PartLayout<const std::uint8_t>{content.data(), place.count, points}, part);
     }
 };
 

@@ -2,15 +2,17 @@
 // how many there are, and parts of them, each compressed alone.
 //
 // `Kind` says what the chunks are:
-//   Chunks                             many of them
-//   kInPlace                           they are a vector: decode() fills in elements
+//   Chunks, Part                       many of them, and what decode() makes of some
 //   kMostPoints                        what NearPart::points may be for one
 //   memoryBytes(chunks, points)        that they may take, boxes and work included
 //   checkPoints(points, chunks)        may a part say so?
 //   contentBytes(chunks, points)       of a part, before its compression
 //   contentOf(chunks, first, count, points)
 //                                      writes it, and says how many points there are
-//   decode(content, count, points, chunks, first)
+//   begin(chunks, count)               so many will come
+//   decode(content, place, points, chunks, part)
+//                                      of a part, others at the same time
+//   join(chunks, places, parts, count) what was decoded, in order; parts need not last
 #pragma once
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/task_arena.h>
@@ -50,6 +52,17 @@ struct ChunkPart {
 inline std::uint64_t partsOf(std::uint64_t chunks, std::uint32_t partChunks) {
     return chunks / partChunks + (chunks % partChunks != 0);
 }
+
+/// Of a Kind whose parts are chunks that become part of all.
+template <typename Appended>
+struct AppendedParts {
+    using Chunks = Appended;
+    using Part = Appended;
+    static void begin(Chunks&, std::size_t) {}
+    static void join(Chunks& chunks, const ChunkPart*, Part* parts, std::size_t count) {
+        chunks.append(parts, count);
+    }
+};
 
 /// Of chunks by face, in the order of the file.
 inline std::vector<ChunkPart> partsOf(const std::vector<std::uint64_t>& chunks,
@@ -134,8 +147,8 @@ Status checkMemory(std::uint64_t chunks, std::uint64_t points, std::uint64_t par
     // Besides, what is known of each part, and for each thread the content of one.
     const auto threads =
         static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
-    std::uint64_t part = sizeof(ChunkPart) + sizeof(NearPart) + sizeof(BytesView);
-    if (!Kind::kInPlace) part += sizeof(typename Kind::Chunks);
+    constexpr std::uint64_t part = sizeof(ChunkPart) + sizeof(NearPart) +
+                                   sizeof(BytesView) + sizeof(typename Kind::Part);
     const std::uint64_t memory =
         Kind::memoryBytes(chunks, points) + parts * part +
         std::min(parts, threads) *
@@ -220,13 +233,9 @@ Status decodeParts(BytesView payload, std::uint64_t most,
                    const std::vector<typename Kind::Chunks*>& faces) {
     const Result<PartIndex> index = decodePartIndex<Kind>(payload, faces.size(), most);
     if (!index) return index.error();
-    std::vector<typename Kind::Chunks> ofPart;
-    if constexpr (Kind::kInPlace) {
-        for (std::size_t face = 0; face < faces.size(); ++face)
-            faces[face]->resize(index->chunks[face]);
-    } else {
-        ofPart.resize(index->parts.size());
-    }
+    std::vector<typename Kind::Part> ofPart(index->parts.size());
+    for (std::size_t face = 0; face < faces.size(); ++face)
+        Kind::begin(*faces[face], index->chunks[face]);
     struct Worker {
         FrameDecoder frames;
         Bytes content;
@@ -243,26 +252,22 @@ Status decodeParts(BytesView payload, std::uint64_t most,
                 return s;
             content = worker.content;
         }
-        if constexpr (Kind::kInPlace)
-            return Kind::decode(content, part.count, points, *faces[part.face],
-                                part.first);
-        else
-            return Kind::decode(content, part.count, points, ofPart[i], 0);
+        return Kind::decode(content, part, points, *faces[part.face], ofPart[i]);
     };
     base::parallelFor(std::size_t(0), index->parts.size(), [&](std::size_t i) {
         if (firstError.isBehind(i)) return;
         if (const Status s = decodePart(i, workers.local()); !s)
             firstError.add(i, bad("part ", i, ": ", s.error().message));
     });
-    if constexpr (!Kind::kInPlace) {
-        for (std::size_t i = 0; i < ofPart.size();) {
-            const std::size_t face = index->parts[i].face, first = i;
-            while (i < ofPart.size() && index->parts[i].face == face)
-                ++i;
-            faces[face]->append(ofPart.data() + first, i - first);
-        }
+    if (Status s = firstError.status(); !s) return s;
+    for (std::size_t i = 0; i < ofPart.size();) {
+        const std::size_t face = index->parts[i].face, first = i;
+        while (i < ofPart.size() && index->parts[i].face == face)
+            ++i;
+        Kind::join(*faces[face], index->parts.data() + first, ofPart.data() + first,
+                   i - first);
     }
-    return firstError.status();
+    return {};
 }
 
 }  // namespace mtsm::format

@@ -162,7 +162,7 @@ struct Frame {
         std::uint64_t bytes = 0;
         for (const MapFace& face : faces)
             bytes += mtsm::memoryBytes(face.nearField) +
-                     nearHairBytes(face.nearHair.chunks.size()) +
+                     mtsm::memoryBytes(face.nearHair) +
                      mtsm::memoryBytes(face.nearSheets);
         return bytes;
     }

@@ -61,36 +61,36 @@ constexpr float kHairReach = 4.0f;
 
 /// Of strands, as far as their ribbons may reach from their middle lines, and what lies
 /// within two widths of them: in any direction of the world.
-void setBox(NearBoxes& boxes, std::size_t i, const std::vector<NearHairChunk>& chunks,
-            std::size_t k, const Projection& p) {
-    const NearHairChunk& chunk = chunks[k];
+void setBox(NearBoxes& boxes, std::size_t i, const NearHairChunks& chunks, std::size_t k,
+            const Projection& p) {
+    const NearHairChunk chunk = chunks[k];
     const bool perspective = p.kind == ProjectionKind::perspective;
-    float low[3], high[3];
-    std::fill_n(low, 3, std::numeric_limits<float>::infinity());
-    std::fill_n(high, 3, -std::numeric_limits<float>::infinity());
-    for (int segment = 0; segment < NearHairChunk::kSegments; ++segment) {
-        if (chunk.opacity[segment] == 0) continue;
+    constexpr int kSegments = NearHairChunk::kSegments;
+    for (int axis = 0; axis < 3; ++axis) {
+        const auto scale = axis < 2 ? float(std::abs(p.scale[axis])) : 0.0f;
+        const auto offset = axis < 2 ? float(p.offset[axis]) : 0.0f;
+        // Of each segment, so that the compiler can do with vectors.
+        float low[2][kSegments], high[2][kSegments];
         for (int e = 0; e < 2; ++e) {
-            const float half = chunk.halfAt(e, segment);
-            for (int axis = 0; axis < 3; ++axis) {
-                const float at = chunk.at(e, axis, segment);
-                float reach = kHairReach * half;
-                if (axis < 2) {
-                    const auto scale = float(std::abs(p.scale[axis]));
-                    const float off = at - float(p.offset[axis]);
-                    // x / z moves by half (1 + |x / z|) / (1 - half) at most.
-                    reach *= perspective ? scale + std::abs(off) : scale;
-                } else if (perspective) {
-                    reach *= at;
-                }
-                low[axis] = std::min(low[axis], at - reach);
-                high[axis] = std::max(high[axis], at + reach);
+            for (int s = 0; s < kSegments; ++s) {
+                const float at = chunk.at(e, axis, s);
+                // x / z moves by half (1 + |x / z|) / (1 - half) at most.
+                const float per = !perspective ? (axis < 2 ? scale : 1.0f)
+                                  : axis < 2   ? scale + std::abs(at - offset)
+                                               : at;
+                const float reach = kHairReach * chunk.halfAt(e, s) * per;
+                low[e][s] = at - reach;
+                high[e][s] = at + reach;
             }
         }
-    }
-    for (int axis = 0; axis < 3; ++axis) {
-        boxes.low[axis][i] = low[axis];
-        boxes.high[axis][i] = high[axis];
+        float least = std::numeric_limits<float>::infinity(), most = -least;
+        for (int s = 0; s < kSegments; ++s) {
+            if (chunk.opacity[s] == 0) continue;
+            least = std::min({least, low[0][s], low[1][s]});
+            most = std::max({most, high[0][s], high[1][s]});
+        }
+        boxes.low[axis][i] = least;
+        boxes.high[axis][i] = most;
     }
 }
 
@@ -130,13 +130,9 @@ std::uint64_t NearField::triangles() const noexcept {
     return count;
 }
 
-int NearHairChunk::segments() const noexcept {
-    return int(kSegments - std::count(opacity, opacity + kSegments, 0));
-}
-
 std::uint64_t NearHair::segments() const noexcept {
     std::uint64_t count = 0;
-    for (const NearHairChunk& chunk : chunks)
+    for (const NearHairChunk chunk : chunks)
         count += std::uint64_t(chunk.segments());
     return count;
 }
@@ -145,12 +141,16 @@ std::uint64_t memoryBytes(const NearField& field) noexcept {
     return field.chunks.memoryBytes() + boxBytes(field.chunks.size());
 }
 
+std::uint64_t memoryBytes(const NearHair& hair) noexcept {
+    return hair.chunks.memoryBytes() + boxBytes(hair.chunks.size());
+}
+
 std::uint64_t nearFieldBytes(std::uint64_t chunks, int points) noexcept {
     return NearChunks::memoryBytes(chunks, points) + boxBytes(chunks);
 }
 
 std::uint64_t nearHairBytes(std::uint64_t chunks) noexcept {
-    return chunks * sizeof(NearHairChunk) + boxBytes(chunks);
+    return chunks * NearHairChunks::kLongBytes + boxBytes(chunks);
 }
 
 namespace map_detail {
@@ -204,7 +204,7 @@ Status checkChunks(const MapFace& face, std::uint32_t number) {
                            ? 0.5f
                            : std::numeric_limits<float>::max();
     for (std::size_t i = 0; i < face.nearHair.chunks.size(); ++i) {
-        const NearHairChunk& chunk = face.nearHair.chunks[i];
+        const NearHairChunks::Packed& chunk = face.nearHair.chunks.packed(i);
         if (auto s = checkGrid(chunk, i, number); !s) return s;
         if (!(chunk.halfStep >= 0.0f && chunk.halfStep * 255.0f <= most))
             return base::makeError(ErrorCode::badArgument, "face ", number,

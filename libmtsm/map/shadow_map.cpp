@@ -391,8 +391,7 @@ std::uint64_t ShadowMap::memoryBytes() const noexcept {
             bytes += sizeof(Tile) +
                      4 * (t.begin.size() + t.z.size() + t.v.size() + t.n.size());
         }
-        bytes += mtsm::memoryBytes(face.nearField) +
-                 nearHairBytes(face.nearHair.chunks.size());
+        bytes += mtsm::memoryBytes(face.nearField) + mtsm::memoryBytes(face.nearHair);
         if (!face.nearSheets.empty()) bytes += mtsm::memoryBytes(face.nearSheets);
     }
     for (const auto& face : hierarchy_) {

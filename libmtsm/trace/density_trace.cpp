@@ -12,6 +12,7 @@
 #include "hwy/highway.h"
 // After highway.h.
 #include "hwy/contrib/math/math-inl.h"
+#include "trace/compress-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace mtsm::trace {
@@ -156,12 +157,12 @@ class Kernel {
         const M met = hn::And(
             alive, meets(texels, texel, hn::Sub(low, reach), hn::Add(high, reach)));
         const V nextBias = hn::IfThenElse(isLast, hn::Add(exitBias, exitBias), exitBias);
-        hn::StoreU(hn::Compress(enterBias, met), d, hits.enterBias + hits.count);
-        hn::StoreU(hn::Compress(exitBias, met), d, hits.exitBias + hits.count);
-        hn::StoreU(hn::Compress(nextBias, met), d, hits.nextBias + hits.count);
+        hn::StoreU(compress(d, enterBias, met), d, hits.enterBias + hits.count);
+        hn::StoreU(compress(d, exitBias, met), d, hits.exitBias + hits.count);
+        hn::StoreU(compress(d, nextBias, met), d, hits.nextBias + hits.count);
         const VI steps = hn::Load(di, march_.steps + first);
         const auto metI = hn::RebindMask(di, met), aliveI = hn::RebindMask(di, alive);
-        hn::StoreU(hn::Compress(steps, metI), di, hits.step + hits.count);
+        hn::StoreU(compress(di, steps, metI), di, hits.step + hits.count);
         hn::Store(hn::Add(steps, hn::IfThenElseZero(aliveI, hn::Set(di, 1))), di,
                   march_.steps + first);
         push(hits, enter, exit, texel, first, met);
@@ -205,10 +206,10 @@ class Kernel {
         const Ints di;
         const auto maskI = hn::RebindMask(di, mask);
         const auto ray = hn::Iota(di, first);
-        hn::StoreU(hn::Compress(low, mask), d, hits.low + hits.count);
-        hn::StoreU(hn::Compress(high, mask), d, hits.high + hits.count);
-        hn::StoreU(hn::Compress(texel, maskI), di, hits.texel + hits.count);
-        hn::StoreU(hn::Compress(ray, maskI), di, hits.ray + hits.count);
+        hn::StoreU(compress(d, low, mask), d, hits.low + hits.count);
+        hn::StoreU(compress(d, high, mask), d, hits.high + hits.count);
+        hn::StoreU(compress(di, texel, maskI), di, hits.texel + hits.count);
+        hn::StoreU(compress(di, ray, maskI), di, hits.ray + hits.count);
         hits.count += int(hn::CountTrue(d, mask));
     }
 

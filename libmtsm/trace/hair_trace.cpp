@@ -30,6 +30,7 @@
 #include "hwy/cache_control.h"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
+#include "trace/compress-inl.h"
 #include "trace/lanes-inl.h"
 
 #ifndef MTSM_TRACE_HAIR_VIEW
@@ -74,32 +75,51 @@ struct Segments {
     alignas(64) float half[2][kSegments];
     alignas(64) float opacity[kSegments];  // 65535ths; 0: there is none
     std::uint32_t present = 0;
+    float step[3];  // of the grid on which their ends lie
 
     Segments() {}  // of none
-    explicit Segments(const NearHairChunk& chunk) {
+    Segments(const NearHairChunks& chunks, std::size_t index) {
+        const NearHairChunks::Packed& chunk = chunks.packed(index);
+        const NearHairChunks::Row* const more = chunks.more(chunk);
         const Floats d;
-        const hn::Rebind<std::int32_t, Floats> whole;
-        const hn::Rebind<std::uint16_t, Floats> words;
+        const Ints whole;
         const hn::Rebind<std::uint8_t, Floats> bytes;
         for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
-            for (int e = 0; e < 2; ++e) {
-                for (int axis = 0; axis < 3; ++axis) {
-                    const auto q = hn::LoadU(words, chunk.end[e][axis] + i);
-                    const Vec steps = hn::ConvertTo(d, hn::PromoteTo(whole, q));
+            const auto load = [&](const NearHairChunks::Row& row) {
+                return hn::PromoteTo(whole, hn::LoadU(bytes, row.data() + i));
+            };
+            const auto joined = [](auto low, auto high) {
+                return hn::ConvertTo(Floats(), hn::Or(low, hn::ShiftLeft<8>(high)));
+            };
+            for (std::size_t axis = 0; axis < 3; ++axis) {
+                const auto high = load(chunk.high[axis]);
+                const auto put = [&](std::size_t end, auto ofEnd) {
+                    const Vec steps = joined(load(chunk.end[end][axis]), ofEnd);
                     hn::Store(hn::Add(hn::Set(d, chunk.low[axis]),
                                       hn::Mul(hn::Set(d, chunk.step[axis]), steps)),
-                              d, at[e][axis] + i);
+                              d, at[end][axis] + i);
+                };
+                if (chunk.isShort) {
+                    put(0, hn::And(high, hn::Set(whole, 15)));
+                    put(1, hn::ShiftRight<4>(high));
+                } else {
+                    put(0, high);
+                    put(1, load(more[axis]));
                 }
-                const auto q = hn::LoadU(bytes, chunk.half[e] + i);
-                hn::Store(hn::Mul(hn::Set(d, chunk.halfStep),
-                                  hn::ConvertTo(d, hn::PromoteTo(whole, q))),
-                          d, half[e] + i);
             }
-            const auto q = hn::LoadU(words, chunk.opacity + i);
-            const Vec share = hn::ConvertTo(d, hn::PromoteTo(whole, q));
+            for (std::size_t end = 0; end < 2; ++end) {
+                const Vec steps = hn::ConvertTo(d, load(chunk.half[end]));
+                hn::Store(hn::Mul(hn::Set(d, chunk.halfStep), steps), d, half[end] + i);
+            }
+            Vec share = hn::Set(d, float(chunk.opacity));
+            if (!chunk.isOneOpacity) {
+                const NearHairChunks::Row* const row = more + chunk.opacityRow();
+                share = joined(load(row[0]), load(row[1]));
+            }
             hn::Store(share, d, opacity + i);
             present |= bitsOf(hn::Gt(share, hn::Zero(d))) << i;
         }
+        std::copy_n(chunk.step, 3, step);
     }
     [[nodiscard]] Vec3 load(int end, std::size_t i) const {
         const Floats d;
@@ -221,12 +241,11 @@ class HairWalk {
 
     void setUp(int receiver);
     void node(std::size_t level, std::size_t index);
-    static void fetch(const NearHairChunk& chunk);
+    static void fetch(const NearHairChunks::Packed& chunk);
     [[nodiscard]] std::uint32_t lanesAt(const NearBoxes& boxes, int i) const;
     [[nodiscard]] bool isAround(const NearBoxes& boxes, int i, int lane) const;
-    void chunk(const NearHairChunk& chunk, std::uint32_t lanes, std::uint32_t around);
-    [[nodiscard]] std::uint32_t putAside(int lane, const NearHairChunk& chunk,
-                                         const Segments& segments);
+    void chunk(std::size_t index, std::uint32_t lanes, std::uint32_t around);
+    [[nodiscard]] std::uint32_t putAside(int lane, const Segments& segments);
     [[nodiscard]] std::uint32_t within(int lane, const Segments& segments,
                                        float halves) const;
     void meetClose(int lane);
@@ -347,7 +366,7 @@ void HairWalk::node(std::size_t level, std::size_t index) {
         if (lanesOf[i] == 0)
             found &= ~(1u << i);
         else if (level == 0)
-            fetch(hair_.chunks[NearBoxes::kChildren * index + std::size_t(i)]);
+            fetch(hair_.chunks.packed(NearBoxes::kChildren * index + std::size_t(i)));
     }
     for (; found; found &= found - 1) {
         const int i = std::countr_zero(found);
@@ -361,12 +380,12 @@ void HairWalk::node(std::size_t level, std::size_t index) {
         for (std::uint32_t rest = rays_.hasPlanes ? 0 : lanes; rest; rest &= rest - 1) {
             if (isAround(boxes, i, std::countr_zero(rest))) around |= rest & -rest;
         }
-        chunk(hair_.chunks[child], lanes, around);
+        chunk(child, lanes, around);
     }
 }
 
 /// Asks for a chunk's memory before it is needed.
-void HairWalk::fetch(const NearHairChunk& chunk) {
+void HairWalk::fetch(const NearHairChunks::Packed& chunk) {
     constexpr std::size_t kLine = 64;
     const auto* const bytes = reinterpret_cast<const char*>(&chunk);
     for (std::size_t at = 0; at < sizeof(chunk) + kLine - 1; at += kLine)
@@ -416,13 +435,12 @@ std::uint32_t HairWalk::lanesAt(const NearBoxes& boxes, int i) const {
 }
 
 /// `around`: lanes of receivers that may be close to some of it.
-void HairWalk::chunk(const NearHairChunk& chunk, std::uint32_t lanes,
-                     std::uint32_t around) {
-    const Segments segments(chunk);
+void HairWalk::chunk(std::size_t index, std::uint32_t lanes, std::uint32_t around) {
+    const Segments segments(hair_.chunks, index);
     for (; lanes; lanes &= lanes - 1) {
         const int lane = std::countr_zero(lanes);
         std::uint32_t found = candidates(lane, segments);
-        if (around >> lane & 1) found &= ~putAside(lane, chunk, segments);
+        if (around >> lane & 1) found &= ~putAside(lane, segments);
         if (found) wait(lane, segments, found);
     }
 }
@@ -470,7 +488,7 @@ void HairWalk::wait(int lane, const Segments& segments, std::uint32_t which) {
     for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
         const Mask mask = maskOf(which >> i);
         const auto put = [&](Vec x, float* to) {
-            hn::StoreU(hn::Compress(x, mask), d, to + waiting.count);
+            hn::StoreU(compress(d, x, mask), d, to + waiting.count);
         };
         for (int e = 0; e < 2; ++e) {
             for (int axis = 0; axis < 3; ++axis)
@@ -504,8 +522,7 @@ void HairWalk::look(int lane) {
 }
 
 /// Segments that wait for meetClose(): those close to the receiver, while there is room.
-std::uint32_t HairWalk::putAside(int lane, const NearHairChunk& chunk,
-                                 const Segments& segments) {
+std::uint32_t HairWalk::putAside(int lane, const Segments& segments) {
     CloseSegments& close = close_[lane];
     std::uint32_t aside = 0;
     for (std::uint32_t rest = within(lane, segments, kClose);
@@ -516,8 +533,8 @@ std::uint32_t HairWalk::putAside(int lane, const NearHairChunk& chunk,
                 close.segments.at[e][axis][to] = segments.at[e][axis][i];
             close.segments.half[e][to] = segments.half[e][i];
         }
-        std::copy_n(chunk.step, 3, close.step[to]);
-        close.depth[to] = depthOf(chunk.opacity[i]);
+        std::copy_n(segments.step, 3, close.step[to]);
+        close.depth[to] = depthOf(std::uint16_t(segments.opacity[i]));
         aside |= 1u << i;
     }
     return aside;

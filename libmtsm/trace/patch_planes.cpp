@@ -6,6 +6,7 @@
 #define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
+#include "trace/compress-inl.h"
 #include "trace/lanes-inl.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -30,8 +31,8 @@ std::size_t findNearAt(const PlaneList& planes, std::size_t count, float u, floa
         // What is not a number is near.
         const auto near = hn::AndNot(hn::Gt(away, set(most)), hn::FirstN(d, count - k));
         const auto mask = hn::RebindMask(indices, near);
-        hn::StoreU(hn::Compress(hn::Iota(indices, std::uint32_t(k)), mask), indices,
-                   found + number);
+        const auto numbers = hn::Iota(indices, std::uint32_t(k));
+        hn::StoreU(compress(indices, numbers, mask), indices, found + number);
         number += hn::CountTrue(d, near);
     }
     return number;

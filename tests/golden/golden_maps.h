@@ -345,7 +345,7 @@ inline Golden nearHair() {
         faces.push_back({six.map.projection(f), {six.map.tile(f, 0, 0)}, {}, {}});
     Numbers numbers(23);
     for (int i = 0; i < 1026; ++i) {
-        NearHairChunk& chunk = faces[2].nearHair.chunks.emplace_back();
+        NearHairChunk chunk;
         for (int axis = 0; axis < 3; ++axis) {
             chunk.step[axis] = axis == 2 ? 0x1p-16f : i % 7 == 3 ? 0.0f : 0x1p-8f;
             chunk.low[axis] = float(int(numbers.below(4096)) - 512) * 0x1p-8f;
@@ -362,6 +362,7 @@ inline Golden nearHair() {
             chunk.half[1][t] = std::uint8_t(250 - 3 * t);
             chunk.opacity[t] = std::uint16_t(i % 2 ? 26214 : numbers.below(65536));
         }
+        faces[2].nearHair.chunks.push_back(chunk);
     }
     NearHairChunk one;  // a single segment
     one.low[2] = 0.25f;
@@ -369,7 +370,7 @@ inline Golden nearHair() {
     one.halfStep = 0x1p-9f;
     one.end[1][0][0] = one.opacity[0] = 65535;
     one.half[0][0] = one.half[1][0] = 255;
-    faces[5].nearHair.chunks = {one};
+    faces[5].nearHair.chunks.push_back(one);
     auto map = ShadowMap::create(six.map.info(), std::move(faces));
     if (!map) throw std::runtime_error(map.error().message);
     return {"near_hair", *std::move(map)};

@@ -183,7 +183,7 @@ TEST_CASE("a map's kind is told by the near fields of all its faces", "[quality]
     const auto hair = [](Faces& faces) {
         NearHairChunk chunk;
         chunk.opacity[0] = 65535;
-        faces.back().nearHair.chunks = {chunk};
+        faces.back().nearHair.chunks.push_back(chunk);
     };
     const auto sheets = [](Faces& faces) {
         faces.back().nearSheets.triangles.chunks.push_back({});

@@ -65,7 +65,7 @@ ShadowMap mapOfSegments(const std::vector<Segment>& segments, bool perspective) 
     faces[0].projection = viewOf(perspective);
     faces[0].tiles.resize(1);
     for (std::size_t i = 0; i < segments.size(); i += 16) {
-        NearHairChunk& chunk = faces[0].nearHair.chunks.emplace_back();
+        NearHairChunk chunk;
         const std::size_t count = std::min<std::size_t>(16, segments.size() - i);
         for (int axis = 0; axis < 3; ++axis) {
             double low = HUGE_VAL;
@@ -87,25 +87,31 @@ ShadowMap mapOfSegments(const std::vector<Segment>& segments, bool perspective) 
             for (std::size_t e = 0; e < 2; ++e)
                 chunk.half[e][k] = std::uint8_t(segments[i + k].half[e]);
         }
+        faces[0].nearHair.chunks.push_back(chunk);
     }
     auto map = ShadowMap::create(test::plainInfo(64, 64, 64), std::move(faces));
     REQUIRE(map);
     return *std::move(map);
 }
 
-std::vector<Segment> scattered(Random& random, int count, bool perspective) {
+/// Close: within 12 pixels, and of one opacity.
+std::vector<Segment> scattered(Random& random, int count, bool perspective,
+                               bool close = false) {
     const double unit = perFootprint(perspective);
     std::vector<Segment> segments;
     for (int i = 0; i < count; ++i) {
-        const glm::dvec3 at(random.in(0, 64), random.in(0, 64), random.in(24, 40) * unit);
+        const double side = close ? 3.0 : 32.0, reach = close ? 3.0 : 6.0;
+        const glm::dvec3 at(random.in(32 - side, 32 + side),
+                            random.in(32 - side, 32 + side),
+                            random.in(32 - side / 4, 32 + side / 4) * unit);
         Segment s;
         for (glm::dvec3& p : s.end)
-            p = onGrid(at + 6.0 * glm::dvec3(random.in(-1, 1), random.in(-1, 1),
-                                             random.in(-1, 1) * unit),
+            p = onGrid(at + reach * glm::dvec3(random.in(-1, 1), random.in(-1, 1),
+                                               random.in(-1, 1) * unit),
                        perspective);
         for (int& half : s.half)
             half = int(random.below(100));
-        s.opacity = 1 + int(random.below(60000));
+        s.opacity = close ? 26214 : 1 + int(random.below(60000));
         segments.push_back(s);
     }
     // As the bake does, those that lie together into one chunk.
@@ -251,10 +257,15 @@ trace::RayDepths noDepths() {
 TEST_CASE("rays meet the strands that flat ribbons in double say", "[trace][twin]") {
     Random random(1);
     int wrong = 0, hit = 0, missed = 0, close = 0;
-    for (const int count : {1, 16, 17, 300}) {
+    for (const int count : {1, 16, 17, 300, -320}) {
         for (const bool perspective : {true, false}) {
-            const std::vector<Segment> segments = scattered(random, count, perspective);
+            const std::vector<Segment> segments =
+                scattered(random, std::abs(count), perspective, count < 0);
             const ShadowMap map = mapOfSegments(segments, perspective);
+            // Ends of 12 bits and of 16, opacities that are one and many.
+            const auto& packed = map.nearHair(0).chunks.packed(0);
+            if (std::abs(count) > 17) CHECK(packed.isShort == (count < 0));
+            CHECK(packed.isOneOpacity == (count < 0));
             const Projection& view = map.projection(0);
             for (int i = 0; i < 40; ++i) {
                 const bool planes = i % 2 == 1;
@@ -300,7 +311,10 @@ TEST_CASE("a strand of parallel light hides the part of the light that it covers
     stored.half[0] = stored.half[1] = 128;  // by twice the step
     ShadowMap map = mapOfSegments({stored}, false);
     NearHair hair = map.nearHair(0);
-    hair.chunks[0].halfStep = 2 * kHalfStep;
+    NearHairChunk wider = hair.chunks[0];
+    wider.halfStep = 2 * kHalfStep;
+    hair.chunks = {};
+    hair.chunks.push_back(wider);
     const double halfPixels = 24.0 * steps * double(kHalfStep);
     CHECK(halfPixels == 0.75);
     test::Rays rays(1, 16);

@@ -22,32 +22,10 @@
 #include <cstdint>
 #include <vector>
 
+#include "mtsm/hair_chunks.h"
 #include "mtsm/near_chunks.h"
 
 namespace mtsm {
-
-/// Up to 16 segments of strands that lie close together; all others have opacity 0.
-struct NearHairChunk {
-    static constexpr int kSegments = 16;
-    static constexpr float kOpaque = 65535.0f;
-
-    float low[3] = {};      ///< [u, v, w], finite
-    float step[3] = {};     ///< [u, v, w], >= 0; low + 65535 * step is finite
-    float halfStep = 0.0f;  ///< >= 0; 255 * halfStep is finite, if perspective <= 1/2
-    std::uint16_t end[2][3][kSegments] = {};  ///< [end][u, v, w][segment]
-    std::uint16_t opacity[kSegments] = {};    ///< of light that crosses it; in 65535ths
-    std::uint8_t half[2][kSegments] = {};     ///< [end][segment], in steps
-
-    [[nodiscard]] float at(int e, int axis, int segment) const noexcept {
-        return low[axis] + step[axis] * float(end[e][axis][segment]);
-    }
-    [[nodiscard]] float halfAt(int e, int segment) const noexcept {
-        return halfStep * float(half[e][segment]);
-    }
-    /// Those that are there.
-    [[nodiscard]] int segments() const noexcept;
-};
-static_assert(sizeof(NearHairChunk) == 284);
 
 /// What 16 chunks, or 16 nodes of the level below, reach over. Where there are fewer, low
 /// is +infinity and high is -infinity.
@@ -71,7 +49,7 @@ struct NearField {
 
 /// All segments of strands of one face, likewise.
 struct NearHair {
-    std::vector<NearHairChunk> chunks;
+    NearHairChunks chunks;
     /// As NearField::levels. A chunk's box reaches two widths around its segments.
     std::vector<std::vector<NearBoxes>> levels;
 
@@ -81,7 +59,9 @@ struct NearHair {
 
 /// What it takes in memory, boxes included.
 [[nodiscard]] std::uint64_t memoryBytes(const NearField& field) noexcept;
-/// What so many chunks take, boxes included; of triangles with so many points each.
+[[nodiscard]] std::uint64_t memoryBytes(const NearHair& hair) noexcept;
+/// What so many chunks take, boxes included; of triangles with so many points each, of
+/// segments of one opacity in steps too fine for less.
 [[nodiscard]] std::uint64_t nearFieldBytes(std::uint64_t chunks, int points) noexcept;
 [[nodiscard]] std::uint64_t nearHairBytes(std::uint64_t chunks) noexcept;
 
