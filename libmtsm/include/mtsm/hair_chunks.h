@@ -4,8 +4,7 @@
 //     for (const mtsm::NearHairChunk& chunk : hair.chunks) {
 //         for (int s = 0; s < NearHairChunk::kSegments; ++s) {
 //             if (chunk.opacity[s] > 0)
-//                 use(chunk.at(0, 0, s), chunk.at(0, 1, s), chunk.at(0, 2, s));   // u,
-//                 v, w
+//                 use(chunk.at(0, 0, s), chunk.at(0, 1, s));  // u and v of its beginning
 //         }
 //     }
 //
