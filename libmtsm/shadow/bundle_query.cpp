@@ -126,9 +126,14 @@ float sum(std::uint32_t rays, const float* weights) {
     return total;
 }
 
-/// In an order that vectors can follow.
-float sumOf(float (&lanes)[trace::kLanes]) {
-    for (int n = trace::kLanes / 2; n > 0; n /= 2) {
+/// Of the first `count`, in an order that vectors can follow.
+float sumOf(const float* values, const float* weights, int count) {
+    const int size = int(std::bit_ceil(std::uint32_t(count)));
+    alignas(64) float lanes[trace::kLanes];
+    for (int i = 0; i < count; ++i)
+        lanes[i] = weights ? weights[i] * values[i] : values[i];
+    std::fill(lanes + count, lanes + size, 0.0f);
+    for (int n = size / 2; n > 0; n /= 2) {
         for (int i = 0; i < n; ++i)
             lanes[i] += lanes[i + n];
     }
@@ -205,7 +210,10 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
     std::optional<std::uint32_t> pattern;
     std::uint32_t met = (1u << map.faceCount()) - 1;
     if (only) {
-        pattern = patternOf(onlyNumber, only->point);
+        Receiver receiver = *only;
+        constexpr std::size_t kItself = 0;
+        setPatterns(onlyNumber, &kItself, 1, &receiver);
+        pattern = receiver.pattern;
         if (faces_.size() > 1) met = facesMet(faceOf(only->point), only->point);
     }
     for (std::uint32_t f = 0; f < faces_.size(); ++f) {
@@ -322,60 +330,87 @@ std::uint32_t BundleQuery::keyOf(glm::dvec3 point) const noexcept {
     return std::uint32_t(base::mix(key) >> 16);
 }
 
-std::uint32_t BundleQuery::patternOf(std::size_t i, glm::dvec3 point) const noexcept {
-    const auto count = std::uint32_t(options_.pointsPerPixel);
-    if (count <= 1) return keyOf(point) % patterns_;
-    const PixelShare share(options_, i);
-    return std::uint32_t(share.key % (patterns_ / count)) * count + share.part;
+void BundleQuery::setPatterns(std::size_t first, const std::size_t* points,
+                              std::size_t count, Receiver* receivers) const noexcept {
+    const auto perPixel = std::uint32_t(options_.pointsPerPixel);
+    if (perPixel <= 1) {
+        for (std::size_t k = 0; k < count; ++k)
+            receivers[k].pattern = keyOf(receivers[k].point) % patterns_;
+        return;
+    }
+    std::uint64_t pixel = 0, key = 0;
+    std::uint32_t base = 0;
+    for (std::size_t k = 0; k < count; ++k) {
+        const PixelPoint point(options_, first + points[k]);
+        if (k == 0 || point.pixel != pixel) {
+            pixel = point.pixel;
+            key = PixelShare::keyOf(options_, point);
+            base = std::uint32_t(key % (patterns_ / perPixel)) * perPixel;
+        }
+        receivers[k].pattern = base + PixelShare(options_, point, key).part;
+    }
 }
 
 ReceiverLanes BundleQuery::lanesOf(const Face& face, const Receiver* receivers,
                                    int count) const noexcept {
+    constexpr int kMost = trace::kMostReceivers;
     ReceiverLanes lanes;
     lanes.count = count;
-    for (int i = 0; i < trace::kMostReceivers; ++i)
-        setLane(face, receivers[i < count ? i : 0], i, lanes);
-    return lanes;
-}
-
-void BundleQuery::setLane(const Face& face, const Receiver& receiver, int lane,
-                          ReceiverLanes& lanes) const noexcept {
-    const glm::dvec3 p = face.turn * (receiver.point - face.projection.eye);
-    const auto set = [lane](ReceiverLanes::Lanes& x, ReceiverLanes::Lanes& y,
-                            ReceiverLanes::Lanes& z, glm::dvec3 v) {
-        x[lane] = float(v.x), y[lane] = float(v.y), z[lane] = float(v.z);
+    const auto fill = [](ReceiverLanes::Lanes& x, ReceiverLanes::Lanes& y,
+                         ReceiverLanes::Lanes& z, glm::dvec3 v) {
+        std::fill_n(x, kMost, float(v.x));
+        std::fill_n(y, kMost, float(v.y));
+        std::fill_n(z, kMost, float(v.z));
     };
-    glm::dvec3 base = light_.shape() == LightShape::sun ? face.base : face.centre - p;
-    glm::dvec3 x = face.axisX, y = face.axisY, z = face.axisZ;
-    double capHeight = capHeight_;
-    if (!fixedAxes_) {
-        const light::LightView seen = light_.view(receiver.point);
-        base = face.turn * seen.base;
-        x = face.turn * seen.x, y = face.turn * seen.y, z = face.turn * seen.z;
-        capHeight = seen.capHeight;
+    if (fixedAxes_) {
+        fill(lanes.axisXX, lanes.axisXY, lanes.axisXZ, face.axisX);
+        fill(lanes.axisYX, lanes.axisYY, lanes.axisYZ, face.axisY);
+        fill(lanes.axisZX, lanes.axisZY, lanes.axisZZ, face.axisZ);
+        std::fill_n(lanes.capHeight, kMost, float(capHeight_));
     }
-    set(lanes.x, lanes.y, lanes.z, p);
-    set(lanes.baseX, lanes.baseY, lanes.baseZ, base);
-    set(lanes.axisXX, lanes.axisXY, lanes.axisXZ, x);
-    set(lanes.axisYX, lanes.axisYY, lanes.axisYZ, y);
-    set(lanes.axisZX, lanes.axisZY, lanes.axisZZ, z);
-    // Scaled first: the square of a length may overflow or vanish.
-    glm::dvec3 normal = receiver.normal;
-    const double longest =
-        std::max({std::abs(normal.x), std::abs(normal.y), std::abs(normal.z)});
-    if (longest > 0.0) normal = face.turn * (normal / longest);
-    set(lanes.normalX, lanes.normalY, lanes.normalZ, normal);
-    lanes.capHeight[lane] = float(capHeight);
-    // Its own face's depth, which is the largest, says how far rays start from it.
-    const double depth = faces_.size() == 1
-                             ? std::abs(p.z)
-                             : std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-    lanes.surfaceStart[lane] = float(kStartBiases * bias_.at(depth));
-    lanes.mediaStart[lane] =
-        media_ ? float(mediaStart_ * face.projection.pixelFootprint(depth))
-               : lanes.surfaceStart[lane];
-    lanes.key[lane] = keyOf(receiver.point);
-    lanes.pattern[lane] = receiver.pattern;
+    const bool sun = light_.shape() == LightShape::sun;
+    const bool normals = receivers[0].normal != glm::dvec3(0.0);
+    for (int i = 0; i < kMost; ++i) {
+        const Receiver& receiver = receivers[i < count ? i : 0];
+        const auto set = [i](ReceiverLanes::Lanes& x, ReceiverLanes::Lanes& y,
+                             ReceiverLanes::Lanes& z, glm::dvec3 v) {
+            x[i] = float(v.x), y[i] = float(v.y), z[i] = float(v.z);
+        };
+        const glm::dvec3 p = face.turn * (receiver.point - face.projection.eye);
+        set(lanes.x, lanes.y, lanes.z, p);
+        glm::dvec3 base = sun ? face.base : face.centre - p;
+        if (!fixedAxes_) {
+            const light::LightView seen = light_.view(receiver.point);
+            base = face.turn * seen.base;
+            set(lanes.axisXX, lanes.axisXY, lanes.axisXZ, face.turn * seen.x);
+            set(lanes.axisYX, lanes.axisYY, lanes.axisYZ, face.turn * seen.y);
+            set(lanes.axisZX, lanes.axisZY, lanes.axisZZ, face.turn * seen.z);
+            lanes.capHeight[i] = float(seen.capHeight);
+        }
+        set(lanes.baseX, lanes.baseY, lanes.baseZ, base);
+        // Scaled first: the square of a length may overflow or vanish.
+        glm::dvec3 normal = receiver.normal;
+        const double longest =
+            std::max({std::abs(normal.x), std::abs(normal.y), std::abs(normal.z)});
+        if (longest > 0.0) normal = face.turn * (normal / longest);
+        set(lanes.normalX, lanes.normalY, lanes.normalZ, normal);
+        lanes.key[i] = keyOf(receiver.point);
+        lanes.pattern[i] = receiver.pattern;
+        if (normals && opaque_) continue;
+        // Its own face's depth, which is the largest, says how far rays start from it.
+        const double depth =
+            faces_.size() == 1 ? std::abs(p.z)
+                               : std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
+        lanes.surfaceStart[i] = float(kStartBiases * bias_.at(depth));
+        lanes.mediaStart[i] =
+            media_ ? float(mediaStart_ * face.projection.pixelFootprint(depth))
+                   : lanes.surfaceStart[i];
+    }
+    if (normals && opaque_) {  // they do not matter
+        std::fill_n(lanes.surfaceStart, kMost, 0.0f);
+        std::fill_n(lanes.mediaStart, kMost, 0.0f);
+    }
+    return lanes;
 }
 
 trace::DensityTraceOptions BundleQuery::densityOptions() const noexcept {
@@ -573,13 +608,10 @@ void BundleQuery::addUp(Rays& rays, const std::uint16_t* valid, bool weights,
             for (int i = 0; i < count; ++i) {
                 s.least = std::min(s.least, v[i]);
                 s.most = std::max(s.most, v[i]);
-                means[i] += v[i] / float(channels);
             }
-            alignas(64) float part[trace::kLanes];
-            for (int i = 0; i < trace::kLanes; ++i)
-                part[i] =
-                    i < count ? (weights ? fates.weight[row][i] : 1.0f) * v[i] : 0.0f;
-            s.visible[int(c)] += sumOf(part);
+            for (int i = 0; errors_ && i < count; ++i)
+                means[i] += v[i] / float(channels);
+            s.visible[int(c)] += sumOf(v, weights ? fates.weight[row] : nullptr, count);
         }
         if (channels == 1) s.visible.y = s.visible.z = s.visible.x;
         if (!errors_) continue;
@@ -679,6 +711,8 @@ bool BundleQuery::isEnough(const Sums& sums, int step) const noexcept {
 glm::vec3 BundleQuery::visibleOf(const Sums& sums, int step) const noexcept {
     const bool weights = options_.weight == Weight::cosine && sums.total >= 0.0f;
     const float total = weights ? sums.total : float(steps_.end[step]);
+    if (map_.info().channels == 1 && total > 0.0f && !(weights && sums.least == 1.0f))
+        return glm::vec3(glm::clamp(sums.visible.x / total, 0.0f, 1.0f));
     // All weights may vanish in the distance; below the horizon all is dark.
     if (!(total > 0.0f)) return glm::vec3(sums.above ? 1.0f : 0.0f);
     // However the weights were added up: what all rays see is seen.

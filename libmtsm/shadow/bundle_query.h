@@ -53,8 +53,10 @@ class BundleQuery {
         return faces_.size() > 1 ? trace::faceOf(map_, point) : 0u;
     }
 
-    /// Receiver::pattern of point i of the batch.
-    [[nodiscard]] std::uint32_t patternOf(std::size_t i, glm::dvec3 point) const noexcept;
+    /// Sets Receiver::pattern of some points of the batch, whose numbers are first +
+    /// points[0..count): best if those of a pixel follow each other.
+    void setPatterns(std::size_t first, const std::size_t* points, std::size_t count,
+                     Receiver* receivers) const noexcept;
 
     /// What can be told of receivers without their rays.
     enum class Glance : std::uint8_t { unknown, lit, dark };
@@ -133,8 +135,6 @@ class BundleQuery {
                                          glm::dvec3 point) const noexcept;
     [[nodiscard]] ReceiverLanes lanesOf(const Face& face, const Receiver* receivers,
                                         int count) const noexcept;
-    void setLane(const Face& face, const Receiver& receiver, int lane,
-                 ReceiverLanes& lanes) const noexcept;
 
     void followBeyond(std::uint32_t home, const Receiver* receivers, int count,
                       const std::uint32_t* met, int firstGroup,
