@@ -715,8 +715,10 @@ void fillMany(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
             bundle.open[row] &= std::uint16_t((1u << left) - 1);
             fates.clear[row] &= std::uint16_t((1u << left) - 1);
         }
-        // Of a light that is no wider than a tile of patches there is nothing to gain.
-        if (in.groups == 1 && bundle.topLevel[receiver] > 0) boundRow(receiver, bundle);
+        // Of a light that is no wider than a tile of patches, and of media, there is
+        // nothing to gain.
+        if (in.groups == 1 && !in.media && bundle.topLevel[receiver] > 0)
+            boundRow(receiver, bundle);
     }
 }
 

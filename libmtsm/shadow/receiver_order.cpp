@@ -12,6 +12,21 @@ namespace {
 constexpr std::size_t kPointsPerTask = 4096;
 constexpr std::uint32_t kPlaces = (1u << 30) - 1;
 
+/// Are places (ReceiverPlaces) no more than three or four cells apart in each axis?
+bool areClose(std::uint32_t a, std::uint32_t b) {
+    // Axes take turns, three bits on: the numbers 3 and 7 of one.
+    constexpr std::uint32_t kAxis = 0x09249249u, kThree = 0x9u, kSeven = 0x49u;
+    if (((a ^ b) & kPlaces) <= 0x1ffu) return true;
+    for (int axis = 0; axis < 3; ++axis) {
+        // Bits of other axes hand on what is carried.
+        const std::uint32_t mask = kAxis << axis;
+        const std::uint32_t apart = ((a | ~mask) - (b & mask)) & mask;
+        const std::uint32_t fromThree = ((apart | ~mask) + (kThree << axis)) & mask;
+        if (fromThree & ~(kSeven << axis)) return false;
+    }
+    return true;
+}
+
 }  // namespace
 
 /// By key, equal keys as they were.
@@ -75,7 +90,7 @@ ReceiverOrder::ReceiverOrder(const BundleQuery& bundles, const glm::dvec3* point
         const std::size_t most = std::min(count, i + longest);
         std::size_t end = i + 1;
         while (end < most && pixelOf(end) == pixel &&
-               ((keys[end] ^ keys[i]) & together_) == 0)
+               ((keys[end] ^ keys[i]) & together_) == 0 && areClose(keys[end], keys[i]))
             ++end;
         sorted_.push_back({keys[i], std::uint32_t(i << 4 | (end - i - 1))});
         i = end;
