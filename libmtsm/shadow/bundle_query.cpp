@@ -199,7 +199,9 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
                    : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples))),
       steps_(SampleSteps::of(options, samples_)),
       patterns_(LightRays::patterns(samples_, std::uint32_t(options.pointsPerPixel))),
-      errors_(errors || options.targetError > 0.0f) {
+      errors_(errors || options.targetError > 0.0f),
+      isPlain_(map.info().channels == 1 && options.weight == Weight::uniform &&
+               !errors_) {
     const light::LightView seen =
         light_.view(map.projection(0).eye + map.projection(0).forward);
     fixedAxes_ = seen.endless || seen.domain != light::LightView::Domain::cap;
@@ -453,13 +455,16 @@ void BundleQuery::traceSheets(const Face& face, Rays& rays) const noexcept {
     const int rows = bundle.receivers * bundle.groups;
     alignas(64) float visible[trace::kMostRows][trace::kLanes];
     std::fill_n(visible[0], std::size_t(rows) * trace::kLanes, 1.0f);
+    std::uint16_t asked[trace::kMostRows];
+    std::copy_n(bundle.open, rows, asked);
     trace::SheetTraceOptions options;
     options.perspective = face.projection.kind == ProjectionKind::perspective;
     options.height = face.nearHeight;
     options.dark = std::exp(-densityOptions().darkDepth);
     trace::traceSheets(face.nearSheets, options, bundle, rays.fates.nearEnd, visible);
     for (int row = 0; row < rows; ++row) {
-        for (int i = 0; i < trace::kLanes; ++i) {
+        for (std::uint32_t rest = asked[row]; rest; rest &= rest - 1) {
+            const int i = std::countr_zero(rest);
             const float left = visible[row][i];
             // Where layers are opaque a sheet that is not is off by a pixel at most.
             if (opaque_ && left < 0.5f) bundle.open[row] &= std::uint16_t(~(1u << i));
@@ -711,8 +716,6 @@ bool BundleQuery::isEnough(const Sums& sums, int step) const noexcept {
 glm::vec3 BundleQuery::visibleOf(const Sums& sums, int step) const noexcept {
     const bool weights = options_.weight == Weight::cosine && sums.total >= 0.0f;
     const float total = weights ? sums.total : float(steps_.end[step]);
-    if (map_.info().channels == 1 && total > 0.0f && !(weights && sums.least == 1.0f))
-        return glm::vec3(glm::clamp(sums.visible.x / total, 0.0f, 1.0f));
     // All weights may vanish in the distance; below the horizon all is dark.
     if (!(total > 0.0f)) return glm::vec3(sums.above ? 1.0f : 0.0f);
     // However the weights were added up: what all rays see is seen.
@@ -725,7 +728,7 @@ float BundleQuery::errorOf(const Sums& sums, int step) const noexcept {
     return sampleError(sums.seen, steps_.first(step), steps_.end[step]);
 }
 
-Answer BundleQuery::answerOf(const Sums& sums, int step) const noexcept {
+Answer BundleQuery::answerOfAny(const Sums& sums, int step) const noexcept {
     return {1.0f - visibleOf(sums, step), errors_ ? errorOf(sums, step) : 0.0f};
 }
 

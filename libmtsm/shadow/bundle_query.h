@@ -10,6 +10,7 @@
 //
 // A point's answer does not depend on which others are asked with it.
 #pragma once
+#include <algorithm>
 #include <glm/mat3x3.hpp>
 #include <glm/vec3.hpp>
 #include <optional>
@@ -82,7 +83,11 @@ class BundleQuery {
     /// Does a receiver need no further step?
     [[nodiscard]] bool isEnough(const Sums& sums, int step) const noexcept;
     /// The shadow factors, and their expected error if it was asked for.
-    [[nodiscard]] Answer answerOf(const Sums& sums, int step) const noexcept;
+    [[nodiscard]] Answer answerOf(const Sums& sums, int step) const noexcept {
+        if (!isPlain_) return answerOfAny(sums, step);
+        const float visible = sums.visible.x / float(steps_.end[step]);
+        return {glm::vec3(1.0f - std::clamp(visible, 0.0f, 1.0f)), 0.0f};
+    }
     /// The same for what a glance told.
     [[nodiscard]] Answer answerOf(Glance told) const noexcept;
 
@@ -145,6 +150,7 @@ class BundleQuery {
     [[nodiscard]] trace::DensityTraceOptions densityOptions() const noexcept;
     [[nodiscard]] glm::vec3 visibleOf(const Sums& sums, int step) const noexcept;
     [[nodiscard]] float errorOf(const Sums& sums, int step) const noexcept;
+    [[nodiscard]] Answer answerOfAny(const Sums& sums, int step) const noexcept;
     void traceNear(const Face& face, Rays& rays) const noexcept;
     void traceSheets(const Face& face, Rays& rays) const noexcept;
     void addUp(Rays& rays, const std::uint16_t* valid, bool weights,
@@ -160,6 +166,7 @@ class BundleQuery {
     SampleSteps steps_;
     std::uint32_t patterns_;
     bool errors_;     // do they matter?
+    bool isPlain_;    // one channel, neither weights nor errors
     bool fixedAxes_;  // are the light's axes the same for all points?
     double capHeight_;
     std::vector<Face> faces_;

@@ -668,7 +668,7 @@ void fillFew(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
                std::size_t(in.firstGroup) * kLanes;
     };
     const int count = in.at.count * kEach;
-    for (int row = kFirst; row < kFirst + (count + kLanes - 1) / kLanes; ++row)
+    for (int row = kFirst; row < kFirst + kEach; ++row)
         bundle.open[row] = fates.clear[row] = 0;
     for (int lane = 0; lane < count; lane += kN) {
         alignas(64) float a[kN], b[kN];

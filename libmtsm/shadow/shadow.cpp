@@ -1,6 +1,7 @@
 // shadow.h: single queries, batches, rays.
 #include "mtsm/shadow.h"
 
+#include <hwy/cache_control.h>
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -168,6 +169,8 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
             std::size_t count = 0;
             for (std::size_t run = first; run < first + block.runs; ++run) {
                 const shadow::ReceiverOrder::Run points = order[run];
+                if (batch.options.pixelPoints)  // which setPatterns() will ask
+                    hwy::Prefetch(batch.options.pixelPoints + batch.first + points.point);
                 for (std::size_t i = points.point; i < points.point + points.count; ++i) {
                     indices[count] = i;
                     receivers[count].point = batch.points[i];
