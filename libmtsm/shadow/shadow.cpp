@@ -146,6 +146,32 @@ class Groups {
     Waiting waiting_[shadow::SampleSteps::kMost];  // [step]; of the first nobody does
 };
 
+/// Has the points of the next runs brought into the cache, a few at a time while others
+/// are answered: in their order they lie anywhere.
+class Ahead {
+  public:
+    Ahead(const Batch& batch, const shadow::ReceiverOrder& order, std::size_t begin,
+          std::size_t end)
+        : batch_(batch), order_(order), next_(begin), end_(end) {}
+
+    [[nodiscard]] std::size_t left() const { return end_ - next_; }
+    void fetch(std::size_t runs) {
+        for (const std::size_t to = next_ + std::min(runs, left()); next_ < to; ++next_) {
+            const shadow::ReceiverOrder::Run run = order_[next_];
+            // Two points and their normals for each line of the cache, about.
+            for (std::size_t i = run.point; i < run.point + run.count; i += 2) {
+                hwy::Prefetch(batch_.points + i);
+                if (batch_.normals) hwy::Prefetch(batch_.normals + i);
+            }
+        }
+    }
+
+  private:
+    const Batch& batch_;
+    const shadow::ReceiverOrder& order_;
+    std::size_t next_, end_;
+};
+
 /// The same, neighbours together.
 template <typename Take>
 void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles,
@@ -180,6 +206,9 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
                 }
             }
             first += block.runs;
+            constexpr std::size_t kAtOnce = 32;
+            Ahead ahead(batch, order, first, std::min(first + block.runs, end));
+            ahead.fetch(kAtOnce);
             if (!block.bundled) {
                 for (std::size_t k = 0; k < count; ++k)
                     take(indices[k],
@@ -201,9 +230,11 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
                 indices[left++] = indices[k];
             }
             bundles.setPatterns(batch.first, indices, left, receivers);
-            for (std::size_t k = 0; k < left; k += trace::kMostReceivers)
-                groups.add(receivers + k, indices + k,
-                           std::min(left - k, std::size_t(trace::kMostReceivers)));
+            constexpr auto kGroup = std::size_t(trace::kMostReceivers);
+            for (std::size_t k = 0; k < left; k += kGroup) {
+                ahead.fetch(ahead.left() * kGroup / (left - k) + 1);
+                groups.add(receivers + k, indices + k, std::min(left - k, kGroup));
+            }
         }
         groups.finish();
         const std::lock_guard lock(mutex);
