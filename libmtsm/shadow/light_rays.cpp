@@ -26,7 +26,7 @@ struct FillInput {
     const LightRays::View& view;
     const LightRays::Points& points;
     int samples, firstGroup, groups;
-    int among;  // samples that these are neighbours of
+    float among;  // samples that these are neighbours of
     light::LightView::Domain domain;
     bool endless, normals, weights, media, sheets, ways;
     glm::vec3 shines;
@@ -267,8 +267,7 @@ class Starts {
         const Vec extentU = hn::Sub(slopes.highU, slopes.lowU);
         const Vec extentV = hn::Sub(slopes.highV, slopes.lowV);
         const Vec lightArea = area();
-        keep(hn::Sqrt(hn::Mul(lightArea, constant(1.0f / float(in_.among)))),
-             bundle_.spread);
+        keep(hn::Sqrt(hn::Mul(lightArea, constant(1.0f / in_.among))), bundle_.spread);
         Vec depth = hn::MulAdd(constant(view_.nearPerW), hn::Abs(start_.z),
                                constant(view_.nearConstant));
         if (view_.nearWidth > 0.0f) {
@@ -877,7 +876,7 @@ void LightRays::fill(const ReceiverLanes& receivers, int first, int groups,
                           int(setting_.samples),
                           first,
                           groups,
-                          int(setting_.steps.end[step]),
+                          neighbours(setting_.steps.end[step], setting_.pointsPerPixel),
                           domain_,
                           endless_,
                           setting_.normals,

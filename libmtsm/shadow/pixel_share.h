@@ -8,6 +8,7 @@
 #pragma once
 #include <algorithm>
 #include <bit>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 
@@ -30,6 +31,14 @@ namespace mtsm::shadow {
         }
     } while (part >= count);
     return part;
+}
+
+/// How many rays to the light are as dense as those of a point that texels may be as wide
+/// as they are apart: its own, and the root of how many times as many its pixel has, for
+/// it is the mean of the pixel that counts (measured: tests/bench/NOTES.md).
+[[nodiscard]] inline float neighbours(std::uint32_t samples,
+                                      std::uint32_t pointsPerPixel) noexcept {
+    return float(samples) * std::sqrt(float(pointsPerPixel));
 }
 
 /// Of a batch with pixelPoints, or without.
