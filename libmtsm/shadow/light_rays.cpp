@@ -870,21 +870,22 @@ void LightRays::fill(const ReceiverLanes& receivers, int first, int groups,
     while (step + 1 < setting_.steps.count &&
            std::uint32_t(first) * trace::kLanes >= setting_.steps.end[step])
         ++step;
-    const FillInput input{receivers,
-                          view_,
-                          *points_,
-                          int(setting_.samples),
-                          first,
-                          groups,
-                          neighbours(setting_.steps.end[step], setting_.pointsPerPixel),
-                          domain_,
-                          endless_,
-                          setting_.normals,
-                          setting_.weights,
-                          setting_.media,
-                          setting_.sheets,
-                          setting_.ways,
-                          shines_};
+    const FillInput input{
+        receivers,
+        view_,
+        *points_,
+        int(setting_.samples),
+        first,
+        groups,
+        neighbours(setting_.steps.end[step], setting_.pointsPerPixel, setting_.sheets),
+        domain_,
+        endless_,
+        setting_.normals,
+        setting_.weights,
+        setting_.media,
+        setting_.sheets,
+        setting_.ways,
+        shines_};
     HWY_DYNAMIC_DISPATCH(fill)(input, bundle, fates);
 }
 

@@ -33,12 +33,14 @@ namespace mtsm::shadow {
     return part;
 }
 
-/// How many rays to the light are as dense as those of a point that texels may be as wide
-/// as they are apart: its own, and the root of how many times as many its pixel has, for
-/// it is the mean of the pixel that counts (measured: tests/bench/NOTES.md).
-[[nodiscard]] inline float neighbours(std::uint32_t samples,
-                                      std::uint32_t pointsPerPixel) noexcept {
-    return float(samples) * std::sqrt(float(pointsPerPixel));
+/// Texels may be as wide as so many rays to the light are apart: those of a point and,
+/// for it is the mean of a pixel that counts, of the others in its pixel all (sheets) or
+/// the root of as many, where those of the point are few (tests/bench/NOTES.md).
+[[nodiscard]] inline float neighbours(std::uint32_t samples, std::uint32_t pointsPerPixel,
+                                      bool sheets) noexcept {
+    constexpr float kFew = 64.0f;
+    const auto own = float(samples), points = float(pointsPerPixel);
+    return std::max(own, std::min(own * (sheets ? points : std::sqrt(points)), kFew));
 }
 
 /// Of a batch with pixelPoints, or without.
