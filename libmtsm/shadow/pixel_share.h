@@ -13,6 +13,7 @@
 #include <cstdint>
 
 #include "base/sampling.h"
+#include "mtsm/map.h"
 #include "mtsm/shadow.h"
 
 namespace mtsm::shadow {
@@ -35,12 +36,15 @@ namespace mtsm::shadow {
 
 /// Texels may be as wide as so many rays to the light are apart: those of a point and,
 /// for it is the mean of a pixel that counts, of the others in its pixel all (sheets) or
-/// the root of as many, where those of the point are few (tests/bench/NOTES.md).
+/// the root of as many (media), where those of the point are few. Of opaque maps it would
+/// cost leaves more than they gain (tests/bench/NOTES.md).
 [[nodiscard]] inline float neighbours(std::uint32_t samples, std::uint32_t pointsPerPixel,
-                                      bool sheets) noexcept {
+                                      Translucent translucent, bool opaque) noexcept {
     constexpr float kFew = 64.0f;
     const auto own = float(samples), points = float(pointsPerPixel);
-    return std::max(own, std::min(own * (sheets ? points : std::sqrt(points)), kFew));
+    if (opaque) return own;
+    const float more = translucent == Translucent::sheets ? points : std::sqrt(points);
+    return std::max(own, std::min(own * more, kFew));
 }
 
 /// Of a batch with pixelPoints, or without.
