@@ -127,9 +127,14 @@ float sum(std::uint32_t rays, const float* weights) {
     return total;
 }
 
-/// In an order that vectors can follow.
-float sumOf(float (&lanes)[trace::kLanes]) {
-    for (int n = trace::kLanes / 2; n > 0; n /= 2) {
+/// Of the first `count`, in an order that vectors can follow.
+float sumOf(const float* values, const float* weights, int count) {
+    const int size = int(std::bit_ceil(std::uint32_t(count)));
+    alignas(64) float lanes[trace::kLanes];
+    for (int i = 0; i < count; ++i)
+        lanes[i] = weights ? weights[i] * values[i] : values[i];
+    std::fill(lanes + count, lanes + size, 0.0f);
+    for (int n = size / 2; n > 0; n /= 2) {
         for (int i = 0; i < n; ++i)
             lanes[i] += lanes[i + n];
     }
@@ -195,7 +200,9 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
                    : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples))),
       steps_(SampleSteps::of(options, samples_)),
       patterns_(LightRays::patterns(samples_, std::uint32_t(options.pointsPerPixel))),
-      errors_(errors || options.targetError > 0.0f) {
+      errors_(errors || options.targetError > 0.0f),
+      isPlain_(map.info().channels == 1 && options.weight == Weight::uniform &&
+               !errors_) {
     const light::LightView seen =
         light_.view(map.projection(0).eye + map.projection(0).forward);
     fixedAxes_ = seen.endless || seen.domain != light::LightView::Domain::cap;
@@ -206,7 +213,10 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
     std::optional<std::uint32_t> pattern;
     std::uint32_t met = (1u << map.faceCount()) - 1;
     if (only) {
-        pattern = patternOf(onlyNumber, only->point);
+        Receiver receiver = *only;
+        constexpr std::size_t kItself = 0;
+        setPatterns(onlyNumber, &kItself, 1, &receiver);
+        pattern = receiver.pattern;
         if (faces_.size() > 1) met = facesMet(faceOf(only->point), only->point);
     }
     for (std::uint32_t f = 0; f < faces_.size(); ++f) {
@@ -323,60 +333,87 @@ std::uint32_t BundleQuery::keyOf(glm::dvec3 point) const noexcept {
     return std::uint32_t(base::mix(key) >> 16);
 }
 
-std::uint32_t BundleQuery::patternOf(std::size_t i, glm::dvec3 point) const noexcept {
-    const auto count = std::uint32_t(options_.pointsPerPixel);
-    if (count <= 1) return keyOf(point) % patterns_;
-    const PixelShare share(options_, i);
-    return std::uint32_t(share.key % (patterns_ / count)) * count + share.part;
+void BundleQuery::setPatterns(std::size_t first, const std::size_t* points,
+                              std::size_t count, Receiver* receivers) const noexcept {
+    const auto perPixel = std::uint32_t(options_.pointsPerPixel);
+    if (perPixel <= 1) {
+        for (std::size_t k = 0; k < count; ++k)
+            receivers[k].pattern = keyOf(receivers[k].point) % patterns_;
+        return;
+    }
+    std::uint64_t pixel = 0, key = 0;
+    std::uint32_t base = 0;
+    for (std::size_t k = 0; k < count; ++k) {
+        const PixelPoint point(options_, first + points[k]);
+        if (k == 0 || point.pixel != pixel) {
+            pixel = point.pixel;
+            key = PixelShare::keyOf(options_, point);
+            base = std::uint32_t(key % (patterns_ / perPixel)) * perPixel;
+        }
+        receivers[k].pattern = base + PixelShare(options_, point, key).part;
+    }
 }
 
 ReceiverLanes BundleQuery::lanesOf(const Face& face, const Receiver* receivers,
                                    int count) const noexcept {
+    constexpr int kMost = trace::kMostReceivers;
     ReceiverLanes lanes;
     lanes.count = count;
-    for (int i = 0; i < trace::kMostReceivers; ++i)
-        setLane(face, receivers[i < count ? i : 0], i, lanes);
-    return lanes;
-}
-
-void BundleQuery::setLane(const Face& face, const Receiver& receiver, int lane,
-                          ReceiverLanes& lanes) const noexcept {
-    const glm::dvec3 p = face.turn * (receiver.point - face.projection.eye);
-    const auto set = [lane](ReceiverLanes::Lanes& x, ReceiverLanes::Lanes& y,
-                            ReceiverLanes::Lanes& z, glm::dvec3 v) {
-        x[lane] = float(v.x), y[lane] = float(v.y), z[lane] = float(v.z);
+    const auto fill = [](ReceiverLanes::Lanes& x, ReceiverLanes::Lanes& y,
+                         ReceiverLanes::Lanes& z, glm::dvec3 v) {
+        std::fill_n(x, kMost, float(v.x));
+        std::fill_n(y, kMost, float(v.y));
+        std::fill_n(z, kMost, float(v.z));
     };
-    glm::dvec3 base = light_.shape() == LightShape::sun ? face.base : face.centre - p;
-    glm::dvec3 x = face.axisX, y = face.axisY, z = face.axisZ;
-    double capHeight = capHeight_;
-    if (!fixedAxes_) {
-        const light::LightView seen = light_.view(receiver.point);
-        base = face.turn * seen.base;
-        x = face.turn * seen.x, y = face.turn * seen.y, z = face.turn * seen.z;
-        capHeight = seen.capHeight;
+    if (fixedAxes_) {
+        fill(lanes.axisXX, lanes.axisXY, lanes.axisXZ, face.axisX);
+        fill(lanes.axisYX, lanes.axisYY, lanes.axisYZ, face.axisY);
+        fill(lanes.axisZX, lanes.axisZY, lanes.axisZZ, face.axisZ);
+        std::fill_n(lanes.capHeight, kMost, float(capHeight_));
     }
-    set(lanes.x, lanes.y, lanes.z, p);
-    set(lanes.baseX, lanes.baseY, lanes.baseZ, base);
-    set(lanes.axisXX, lanes.axisXY, lanes.axisXZ, x);
-    set(lanes.axisYX, lanes.axisYY, lanes.axisYZ, y);
-    set(lanes.axisZX, lanes.axisZY, lanes.axisZZ, z);
-    // Scaled first: the square of a length may overflow or vanish.
-    glm::dvec3 normal = receiver.normal;
-    const double longest =
-        std::max({std::abs(normal.x), std::abs(normal.y), std::abs(normal.z)});
-    if (longest > 0.0) normal = face.turn * (normal / longest);
-    set(lanes.normalX, lanes.normalY, lanes.normalZ, normal);
-    lanes.capHeight[lane] = float(capHeight);
-    // Its own face's depth, which is the largest, says how far rays start from it.
-    const double depth = faces_.size() == 1
-                             ? std::abs(p.z)
-                             : std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-    lanes.surfaceStart[lane] = float(kStartBiases * bias_.at(depth));
-    lanes.mediaStart[lane] =
-        media_ ? float(mediaStart_ * face.projection.pixelFootprint(depth))
-               : lanes.surfaceStart[lane];
-    lanes.key[lane] = keyOf(receiver.point);
-    lanes.pattern[lane] = receiver.pattern;
+    const bool sun = light_.shape() == LightShape::sun;
+    const bool normals = receivers[0].normal != glm::dvec3(0.0);
+    for (int i = 0; i < kMost; ++i) {
+        const Receiver& receiver = receivers[i < count ? i : 0];
+        const auto set = [i](ReceiverLanes::Lanes& x, ReceiverLanes::Lanes& y,
+                             ReceiverLanes::Lanes& z, glm::dvec3 v) {
+            x[i] = float(v.x), y[i] = float(v.y), z[i] = float(v.z);
+        };
+        const glm::dvec3 p = face.turn * (receiver.point - face.projection.eye);
+        set(lanes.x, lanes.y, lanes.z, p);
+        glm::dvec3 base = sun ? face.base : face.centre - p;
+        if (!fixedAxes_) {
+            const light::LightView seen = light_.view(receiver.point);
+            base = face.turn * seen.base;
+            set(lanes.axisXX, lanes.axisXY, lanes.axisXZ, face.turn * seen.x);
+            set(lanes.axisYX, lanes.axisYY, lanes.axisYZ, face.turn * seen.y);
+            set(lanes.axisZX, lanes.axisZY, lanes.axisZZ, face.turn * seen.z);
+            lanes.capHeight[i] = float(seen.capHeight);
+        }
+        set(lanes.baseX, lanes.baseY, lanes.baseZ, base);
+        // Scaled first: the square of a length may overflow or vanish.
+        glm::dvec3 normal = receiver.normal;
+        const double longest =
+            std::max({std::abs(normal.x), std::abs(normal.y), std::abs(normal.z)});
+        if (longest > 0.0) normal = face.turn * (normal / longest);
+        set(lanes.normalX, lanes.normalY, lanes.normalZ, normal);
+        lanes.key[i] = keyOf(receiver.point);
+        lanes.pattern[i] = receiver.pattern;
+        if (normals && opaque_) continue;
+        // Its own face's depth, which is the largest, says how far rays start from it.
+        const double depth =
+            faces_.size() == 1 ? std::abs(p.z)
+                               : std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
+        lanes.surfaceStart[i] = float(kStartBiases * bias_.at(depth));
+        lanes.mediaStart[i] =
+            media_ ? float(mediaStart_ * face.projection.pixelFootprint(depth))
+                   : lanes.surfaceStart[i];
+    }
+    if (normals && opaque_) {  // they do not matter
+        std::fill_n(lanes.surfaceStart, kMost, 0.0f);
+        std::fill_n(lanes.mediaStart, kMost, 0.0f);
+    }
+    return lanes;
 }
 
 trace::DensityTraceOptions BundleQuery::densityOptions() const noexcept {
@@ -419,13 +456,16 @@ void BundleQuery::traceSheets(const Face& face, Rays& rays) const noexcept {
     const int rows = bundle.receivers * bundle.groups;
     alignas(64) float visible[trace::kMostRows][trace::kLanes];
     std::fill_n(visible[0], std::size_t(rows) * trace::kLanes, 1.0f);
+    std::uint16_t asked[trace::kMostRows];
+    std::copy_n(bundle.open, rows, asked);
     trace::SheetTraceOptions options;
     options.perspective = face.projection.kind == ProjectionKind::perspective;
     options.height = face.nearHeight;
     options.dark = std::exp(-densityOptions().darkDepth);
     trace::traceSheets(face.nearSheets, options, bundle, rays.fates.nearEnd, visible);
     for (int row = 0; row < rows; ++row) {
-        for (int i = 0; i < trace::kLanes; ++i) {
+        for (std::uint32_t rest = asked[row]; rest; rest &= rest - 1) {
+            const int i = std::countr_zero(rest);
             const float left = visible[row][i];
             // Where layers are opaque a sheet that is not is off by a pixel at most.
             if (opaque_ && left < 0.5f) bundle.open[row] &= std::uint16_t(~(1u << i));
@@ -579,13 +619,10 @@ void BundleQuery::addUp(Rays& rays, const std::uint16_t* valid, bool weights,
             for (int i = 0; i < count; ++i) {
                 s.least = std::min(s.least, v[i]);
                 s.most = std::max(s.most, v[i]);
-                means[i] += v[i] / float(channels);
             }
-            alignas(64) float part[trace::kLanes];
-            for (int i = 0; i < trace::kLanes; ++i)
-                part[i] =
-                    i < count ? (weights ? fates.weight[row][i] : 1.0f) * v[i] : 0.0f;
-            s.visible[int(c)] += sumOf(part);
+            for (int i = 0; errors_ && i < count; ++i)
+                means[i] += v[i] / float(channels);
+            s.visible[int(c)] += sumOf(v, weights ? fates.weight[row] : nullptr, count);
         }
         if (channels == 1) s.visible.y = s.visible.z = s.visible.x;
         if (!errors_) continue;
@@ -606,7 +643,9 @@ static float highestOf(const NearSheets& sheets) {
 
 /// Does nothing lie between those that have all of the light above them and it?
 bool BundleQuery::isFree(const Face& face, const Outlook& starts) const noexcept {
-    std::optional<trace::RayHull> hull = face.outline.hull(starts, steps_.end[0]);
+    const float among = neighbours(steps_.end[0], std::uint32_t(options_.pointsPerPixel),
+                                   map_.info().translucent, opaque_);
+    std::optional<trace::RayHull> hull = face.outline.hull(starts, std::uint32_t(among));
     if (!hull) return false;
     if (face.near) {
         const bool perspective = face.projection.kind == ProjectionKind::perspective;
@@ -697,7 +736,7 @@ float BundleQuery::errorOf(const Sums& sums, int step) const noexcept {
     return sampleError(sums.seen, steps_.first(step), steps_.end[step]);
 }
 
-Answer BundleQuery::answerOf(const Sums& sums, int step) const noexcept {
+Answer BundleQuery::answerOfAny(const Sums& sums, int step) const noexcept {
     return {1.0f - visibleOf(sums, step), errors_ ? errorOf(sums, step) : 0.0f};
 }
 

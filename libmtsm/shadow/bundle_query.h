@@ -10,6 +10,7 @@
 //
 // A point's answer does not depend on which others are asked with it.
 #pragma once
+#include <algorithm>
 #include <glm/mat3x3.hpp>
 #include <glm/vec3.hpp>
 #include <optional>
@@ -53,8 +54,10 @@ class BundleQuery {
         return faces_.size() > 1 ? trace::faceOf(map_, point) : 0u;
     }
 
-    /// Receiver::pattern of point i of the batch.
-    [[nodiscard]] std::uint32_t patternOf(std::size_t i, glm::dvec3 point) const noexcept;
+    /// Sets Receiver::pattern of some points of the batch, whose numbers are first +
+    /// points[0..count): best if those of a pixel follow each other.
+    void setPatterns(std::size_t first, const std::size_t* points, std::size_t count,
+                     Receiver* receivers) const noexcept;
 
     /// What can be told of receivers without their rays.
     enum class Glance : std::uint8_t { unknown, lit, dark };
@@ -80,7 +83,11 @@ class BundleQuery {
     /// Does a receiver need no further step?
     [[nodiscard]] bool isEnough(const Sums& sums, int step) const noexcept;
     /// The shadow factors, and their expected error if it was asked for.
-    [[nodiscard]] Answer answerOf(const Sums& sums, int step) const noexcept;
+    [[nodiscard]] Answer answerOf(const Sums& sums, int step) const noexcept {
+        if (!isPlain_) return answerOfAny(sums, step);
+        const float visible = sums.visible.x / float(steps_.end[step]);
+        return {glm::vec3(1.0f - std::clamp(visible, 0.0f, 1.0f)), 0.0f};
+    }
     /// The same for what a glance told.
     [[nodiscard]] Answer answerOf(Glance told) const noexcept;
 
@@ -133,8 +140,6 @@ class BundleQuery {
                                          glm::dvec3 point) const noexcept;
     [[nodiscard]] ReceiverLanes lanesOf(const Face& face, const Receiver* receivers,
                                         int count) const noexcept;
-    void setLane(const Face& face, const Receiver& receiver, int lane,
-                 ReceiverLanes& lanes) const noexcept;
 
     void followBeyond(std::uint32_t home, const Receiver* receivers, int count,
                       const std::uint32_t* met, int firstGroup,
@@ -145,6 +150,7 @@ class BundleQuery {
     [[nodiscard]] trace::DensityTraceOptions densityOptions() const noexcept;
     [[nodiscard]] glm::vec3 visibleOf(const Sums& sums, int step) const noexcept;
     [[nodiscard]] float errorOf(const Sums& sums, int step) const noexcept;
+    [[nodiscard]] Answer answerOfAny(const Sums& sums, int step) const noexcept;
     void traceNear(const Face& face, Rays& rays) const noexcept;
     void traceSheets(const Face& face, Rays& rays) const noexcept;
     void addUp(Rays& rays, const std::uint16_t* valid, bool weights,
@@ -160,6 +166,7 @@ class BundleQuery {
     SampleSteps steps_;
     std::uint32_t patterns_;
     bool errors_;     // do they matter?
+    bool isPlain_;    // one channel, neither weights nor errors
     bool fixedAxes_;  // are the light's axes the same for all points?
     double capHeight_;
     std::vector<Face> faces_;

@@ -26,7 +26,7 @@ struct FillInput {
     const LightRays::View& view;
     const LightRays::Points& points;
     int samples, firstGroup, groups;
-    int among;  // samples that these are neighbours of
+    float among;  // samples that these are neighbours of
     light::LightView::Domain domain;
     bool endless, normals, weights, media, sheets, ways;
     glm::vec3 shines;
@@ -229,8 +229,7 @@ class Starts {
         const Vec extentU = hn::Sub(slopes.highU, slopes.lowU);
         const Vec extentV = hn::Sub(slopes.highV, slopes.lowV);
         const Vec lightArea = area();
-        keep(hn::Sqrt(hn::Mul(lightArea, constant(1.0f / float(in_.among)))),
-             bundle_.spread);
+        keep(hn::Sqrt(hn::Mul(lightArea, constant(1.0f / in_.among))), bundle_.spread);
         Vec depth = hn::MulAdd(constant(view_.nearPerW), hn::Abs(start_.z),
                                constant(view_.nearConstant));
         if (view_.nearWidth > 0.0f) {
@@ -526,6 +525,20 @@ void setThresholds(std::uint32_t key, std::uint8_t* thresholds) {
     std::memcpy(thresholds, far, sizeof far);
 }
 
+/// Takes what some rays go sideways for what all the light has.
+void setSlopes(int receiver, float (&low)[2], float (&high)[2],
+               trace::RayBundle& bundle) {
+    // What a slope is rounded by, many times.
+    const auto grow = [](float& least, float& most) {
+        const float margin = std::max(std::abs(least), std::abs(most)) * 0x1p-18f;
+        least -= margin, most += margin;
+    };
+    grow(low[0], high[0]), grow(low[1], high[1]);
+    if (!(high[0] - low[0] < HUGE_VALF && high[1] - low[1] < HUGE_VALF)) return;
+    bundle.slopeLowU[receiver] = low[0], bundle.slopeHighU[receiver] = high[0];
+    bundle.slopeLowV[receiver] = low[1], bundle.slopeHighV[receiver] = high[1];
+}
+
 /// A few rays go sideways much less than all that the light may have.
 void boundFew(int count, int each, trace::RayBundle& bundle) {
     constexpr int kFirst = trace::kMostReceivers;
@@ -545,60 +558,85 @@ void boundFew(int count, int each, trace::RayBundle& bundle) {
             low[0] = std::min(low[0], u[i]), high[0] = std::max(high[0], u[i]);
             low[1] = std::min(low[1], v[i]), high[1] = std::max(high[1], v[i]);
         }
-        // What a slope is rounded by, many times.
-        const auto grow = [](float& least, float& most) {
-            const float margin = std::max(std::abs(least), std::abs(most)) * 0x1p-18f;
-            least -= margin, most += margin;
-        };
-        grow(low[0], high[0]), grow(low[1], high[1]);
-        if (!(high[0] - low[0] < HUGE_VALF && high[1] - low[1] < HUGE_VALF)) continue;
-        bundle.slopeLowU[receiver] = low[0], bundle.slopeHighU[receiver] = high[0];
-        bundle.slopeLowV[receiver] = low[1], bundle.slopeHighV[receiver] = high[1];
+        setSlopes(receiver, low, high, bundle);
     }
+}
+
+/// Those of a row go sideways somewhat less, and of a receiver whose horizon cuts the
+/// light much less.
+void boundRow(int receiver, trace::RayBundle& bundle) {
+    const std::uint32_t open = bundle.open[receiver];
+    if (open == 0 || (bundle.wide >> receiver & 1)) return;
+    const Vec never = constant(HUGE_VALF);
+    Vec lowU = never, lowV = never, highU = hn::Neg(never), highV = highU;
+    for (int k = 0; k < kLanes; k += kN) {
+        const MaskF some = lanes::maskOf(open >> k);
+        const Vec per = hn::Div(constant(1.0f), hn::Load(kF, bundle.dw[receiver] + k));
+        const Vec u = hn::Mul(hn::Load(kF, bundle.du[receiver] + k), per);
+        const Vec v = hn::Mul(hn::Load(kF, bundle.dv[receiver] + k), per);
+        lowU = hn::IfThenElse(some, hn::Min(lowU, u), lowU);
+        lowV = hn::IfThenElse(some, hn::Min(lowV, v), lowV);
+        highU = hn::IfThenElse(some, hn::Max(highU, u), highU);
+        highV = hn::IfThenElse(some, hn::Max(highV, v), highV);
+    }
+    float low[2] = {hn::GetLane(hn::MinOfLanes(kF, lowU)),
+                    hn::GetLane(hn::MinOfLanes(kF, lowV))};
+    float high[2] = {hn::GetLane(hn::MaxOfLanes(kF, highU)),
+                     hn::GetLane(hn::MaxOfLanes(kF, highV))};
+    setSlopes(receiver, low, high, bundle);
+}
+
+/// To the first of a row's lanes; the others are zero.
+template <int kEach>
+HWY_INLINE void moveFew(const float* from, float* row) {
+    for (int i = 0; i < kLanes; i += kN)
+        hn::Store(hn::Zero(kF), kF, row + i);
+    for (int i = 0; i < kEach; ++i)
+        row[i] = from[i];
 }
 
 /// A few rays each: those of several receivers in a vector, in rows that are free, and
 /// then to the rows that they belong to.
-void fillFew(const FillInput& in, int each, trace::RayBundle& bundle, RayFates& fates) {
+template <int kEach>
+void fillFew(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
     constexpr int kFirst = trace::kMostReceivers;
     const LightRays::Points& points = in.points;
     const auto firstOf = [&](int receiver) {
         return std::size_t(points.onlyOne ? 0u : in.at.pattern[receiver]) * points.each +
                std::size_t(in.firstGroup) * kLanes;
     };
-    const int count = in.at.count * each;
-    for (int row = kFirst; row < kFirst + (count + kLanes - 1) / kLanes; ++row)
+    const int count = in.at.count * kEach;
+    for (int row = kFirst; row < kFirst + kEach; ++row)
         bundle.open[row] = fates.clear[row] = 0;
     for (int lane = 0; lane < count; lane += kN) {
         alignas(64) float a[kN], b[kN];
         for (int i = 0; i < kN; ++i) {
-            const int receiver = std::min((lane + i) / each, in.at.count - 1);
-            const std::size_t at = firstOf(receiver) + std::size_t((lane + i) % each);
+            const int receiver = std::min((lane + i) / kEach, in.at.count - 1);
+            const std::size_t at = firstOf(receiver) + std::size_t((lane + i) % kEach);
             a[i] = points.a[at], b[i] = points.b[at];
         }
-        Rays(in, Owners(lane, each), bundle, fates)
+        Rays(in, Owners(lane, kEach), bundle, fates)
             .part(kFirst + lane / kLanes, lane % kLanes,
                   {hn::Load(kF, a), hn::Load(kF, b)});
     }
     const std::uint32_t there = (1u << in.samples) - 1;
     for (int receiver = 0; receiver < in.at.count; ++receiver) {
-        const int from = kFirst + receiver * each / kLanes;
-        const int first = receiver * each % kLanes;
-        const auto copy = [&](auto* field) {
-            std::copy_n(field[from] + first, each, field[receiver]);
-            std::fill(field[receiver] + each, field[receiver] + kLanes, 0.0f);
+        const int from = kFirst + receiver * kEach / kLanes;
+        const int first = receiver * kEach % kLanes;
+        const auto move = [&](float(*field)[kLanes]) {
+            moveFew<kEach>(field[from] + first, field[receiver]);
         };
-        copy(bundle.du), copy(bundle.dv), copy(bundle.dw), copy(bundle.begin);
-        if (in.media) copy(bundle.beginSurfaces);
-        if (in.view.near) copy(fates.nearEnd), copy(fates.layersBegin);
-        if (in.weights) copy(fates.weight);
+        move(bundle.du), move(bundle.dv), move(bundle.dw), move(bundle.begin);
+        if (in.media) move(bundle.beginSurfaces);
+        if (in.view.near) move(fates.nearEnd), move(fates.layersBegin);
+        if (in.weights) move(fates.weight);
         for (int axis = 0; in.ways && axis < 3; ++axis)
-            copy(fates.delta[axis]);
-        if (in.ways) copy(fates.way);
+            move(fates.delta[axis]);
+        if (in.ways) move(fates.way);
         bundle.open[receiver] = std::uint16_t(bundle.open[from] >> first & there);
         fates.clear[receiver] = std::uint16_t(fates.clear[from] >> first & there);
     }
-    boundFew(in.at.count, each, bundle);
+    boundFew(in.at.count, kEach, bundle);
 }
 
 /// The least of each of four vectors.
@@ -674,6 +712,10 @@ void fillMany(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
             bundle.open[row] &= std::uint16_t((1u << left) - 1);
             fates.clear[row] &= std::uint16_t((1u << left) - 1);
         }
+        // Of a light that is no wider than a tile of patches, and of media, there is
+        // nothing to gain.
+        if (in.groups == 1 && !in.media && bundle.topLevel[receiver] > 0)
+            boundRow(receiver, bundle);
     }
     if (in.groups > 1) boundRows(bundle);
 }
@@ -686,9 +728,12 @@ void fill(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
     bundle.wide = 0;
     for (int first = 0; first < trace::kMostReceivers; first += kN)
         Starts(in, first, bundle);
-    const int few = in.samples > 2 ? 4 : in.samples;
-    if (in.samples <= few)
-        fillFew(in, few, bundle, fates);
+    if (in.samples == 1)
+        fillFew<1>(in, bundle, fates);
+    else if (in.samples == 2)
+        fillFew<2>(in, bundle, fates);
+    else if (in.samples <= 4)
+        fillFew<4>(in, bundle, fates);
     else
         fillMany(in, bundle, fates);
     for (int receiver = 0; receiver < in.at.count; ++receiver) {
@@ -815,21 +860,24 @@ void LightRays::fill(const ReceiverLanes& receivers, int first, int groups,
     while (step + 1 < setting_.steps.count &&
            std::uint32_t(first) * trace::kLanes >= setting_.steps.end[step])
         ++step;
-    const FillInput input{receivers,
-                          view_,
-                          *points_,
-                          int(setting_.samples),
-                          first,
-                          groups,
-                          int(setting_.steps.end[step]),
-                          domain_,
-                          endless_,
-                          setting_.normals,
-                          setting_.weights,
-                          setting_.media,
-                          setting_.sheets,
-                          setting_.ways,
-                          shines_};
+    const FillInput input{
+        receivers,
+        view_,
+        *points_,
+        int(setting_.samples),
+        first,
+        groups,
+        neighbours(setting_.steps.end[step], setting_.pointsPerPixel,
+                   setting_.sheets ? Translucent::sheets : Translucent::media,
+                   !setting_.media),
+        domain_,
+        endless_,
+        setting_.normals,
+        setting_.weights,
+        setting_.media,
+        setting_.sheets,
+        setting_.ways,
+        shines_};
     HWY_DYNAMIC_DISPATCH(fill)(input, bundle, fates);
 }
 

@@ -8,10 +8,12 @@
 #pragma once
 #include <algorithm>
 #include <bit>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 
 #include "base/sampling.h"
+#include "mtsm/map.h"
 #include "mtsm/shadow.h"
 
 namespace mtsm::shadow {
@@ -32,16 +34,54 @@ namespace mtsm::shadow {
     return part;
 }
 
+/// Texels may be as wide as so many rays to the light are apart: those of a point and,
+/// for it is the mean of a pixel that counts, of the others in its pixel all (sheets) or
+/// the root of as many (media), where those of the point are few. Of opaque maps it would
+/// cost leaves more than they gain (tests/bench/NOTES.md).
+[[nodiscard]] inline float neighbours(std::uint32_t samples, std::uint32_t pointsPerPixel,
+                                      Translucent translucent, bool opaque) noexcept {
+    constexpr float kFew = 64.0f;
+    const auto own = float(samples), points = float(pointsPerPixel);
+    if (opaque) return own;
+    const float more = translucent == Translucent::sheets ? points : std::sqrt(points);
+    return std::max(own, std::min(own * more, kFew));
+}
+
+/// Of a batch with pixelPoints, or without.
+struct PixelPoint {
+    std::uint64_t pixel;
+    std::uint32_t number;  ///< of the point in the pixel, below options.pointsPerPixel
+
+    PixelPoint(const ShadowOptions& options, std::size_t i) noexcept {
+        const auto count = std::uint32_t(options.pointsPerPixel);
+        const std::uint64_t n = options.pixelPoints ? options.pixelPoints[i] : i;
+        if (n <= 0xffffffffu) {  // much faster
+            pixel = std::uint32_t(n) / count;
+            number = std::uint32_t(n) % count;
+        } else {
+            pixel = n / count;
+            number = std::uint32_t(n % count);
+        }
+    }
+};
+
 /// Point i of a batch.
 struct PixelShare {
     std::uint64_t key;   ///< of the pixel
     std::uint32_t part;  ///< below options.pointsPerPixel
 
-    PixelShare(const ShadowOptions& options, std::size_t i) noexcept {
-        const auto count = std::uint32_t(options.pointsPerPixel);
-        const std::uint64_t n = options.pixelPoints ? options.pixelPoints[i] : i;
-        key = base::mix(base::mix(std::uint64_t(options.seed) + 1) ^ n / count);
-        part = shuffled(std::uint32_t(n % count), count, base::mix(key));
+    PixelShare(const ShadowOptions& options, std::size_t i) noexcept
+        : PixelShare(options, PixelPoint(options, i),
+                     keyOf(options, PixelPoint(options, i))) {}
+    /// `pixelKey`: keyOf the point's pixel.
+    PixelShare(const ShadowOptions& options, const PixelPoint& point,
+               std::uint64_t pixelKey) noexcept
+        : key(pixelKey),
+          part(shuffled(point.number, std::uint32_t(options.pointsPerPixel),
+                        base::mix(pixelKey))) {}
+    [[nodiscard]] static std::uint64_t keyOf(const ShadowOptions& options,
+                                             const PixelPoint& point) noexcept {
+        return base::mix(base::mix(std::uint64_t(options.seed) + 1) ^ point.pixel);
     }
 };
 

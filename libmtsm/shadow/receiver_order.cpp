@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <utility>
 
 #include "base/parallel.h"
 
@@ -11,59 +12,103 @@ namespace {
 constexpr std::size_t kPointsPerTask = 4096;
 constexpr std::uint32_t kPlaces = (1u << 30) - 1;
 
-/// By key, equal keys as they were.
-template <typename Entry>
-void radixSort(std::vector<Entry>& entries) {
-    constexpr int kBits = 11;
-    constexpr std::uint32_t kDigits = 1u << kBits;
-    std::vector<Entry> other(entries.size());
-    for (int shift = 0; shift < 32; shift += kBits) {
-        std::array<std::size_t, kDigits> next{};
-        for (const Entry& e : entries)
-            ++next[e.key >> shift & (kDigits - 1)];
-        std::size_t sum = 0;
-        for (std::size_t& n : next)
-            sum += std::exchange(n, sum);
-        for (const Entry& e : entries)
-            other[next[e.key >> shift & (kDigits - 1)]++] = e;
-        entries.swap(other);
+/// Are places (ReceiverPlaces) no more than three or four cells apart in each axis?
+bool areClose(std::uint32_t a, std::uint32_t b) {
+    // Axes take turns, three bits on: the numbers 3 and 7 of one.
+    constexpr std::uint32_t kAxis = 0x09249249u, kThree = 0x9u, kSeven = 0x49u;
+    if (((a ^ b) & kPlaces) <= 0x1ffu) return true;
+    for (int axis = 0; axis < 3; ++axis) {
+        // Bits of other axes hand on what is carried.
+        const std::uint32_t mask = kAxis << axis;
+        const std::uint32_t apart = ((a | ~mask) - (b & mask)) & mask;
+        const std::uint32_t fromThree = ((apart | ~mask) + (kThree << axis)) & mask;
+        if (fromThree & ~(kSeven << axis)) return false;
     }
+    return true;
 }
 
 }  // namespace
 
+/// By key, equal keys as they were.
+void ReceiverOrder::sort(std::vector<Entry>& entries) {
+    constexpr std::size_t kFew = 512;
+    if (entries.size() <= kFew) {
+        std::sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
+            return a.key != b.key ? a.key < b.key : a.run < b.run;
+        });
+        return;
+    }
+    constexpr int kBits = 11, kDigits = 3;
+    constexpr std::uint32_t kValues = 1u << kBits;
+    std::array<std::array<std::uint32_t, kValues>, kDigits> next{};
+    for (const Entry& e : entries) {
+        for (int digit = 0; digit < kDigits; ++digit)
+            ++next[std::size_t(digit)][e.key >> (kBits * digit) & (kValues - 1)];
+    }
+    std::vector<Entry> other(entries.size());
+    for (int digit = 0; digit < kDigits; ++digit) {
+        auto& to = next[std::size_t(digit)];
+        std::uint32_t sum = 0;
+        for (std::uint32_t& n : to)
+            sum += std::exchange(n, sum);
+        for (const Entry& e : entries)
+            other[to[e.key >> (kBits * digit) & (kValues - 1)]++] = e;
+        entries.swap(other);
+    }
+}
+
 ReceiverOrder::ReceiverOrder(const BundleQuery& bundles, const glm::dvec3* points,
-                             const glm::dvec3* normals, std::size_t count)
-    : sorted_(count), together_(~kPlaces | bundles.together()) {
+                             const glm::dvec3* normals, std::size_t count,
+                             std::size_t first, const ShadowOptions& options)
+    : together_(~kPlaces | bundles.together()) {
     constexpr std::size_t kAtOnce = ReceiverPlaces::kAtOnce;
+    std::vector<std::uint32_t> keys(count);
     base::parallelRanges(
         std::size_t(0), count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
-            for (std::size_t first = begin; first < end; first += kAtOnce) {
-                const std::size_t some = std::min(kAtOnce, end - first);
-                std::uint32_t found[kAtOnce];
-                bundles.findPlaces(points + first, int(some), found);
-                for (std::size_t k = 0; k < some; ++k) {
-                    const std::size_t i = first + k;
+            for (std::size_t at = begin; at < end; at += kAtOnce) {
+                const std::size_t some = std::min(kAtOnce, end - at);
+                bundles.findPlaces(points + at, int(some), &keys[at]);
+                for (std::size_t i = at; i < at + some; ++i) {
                     Kind kind = Kind::alone;
-                    if (found[k] != ReceiverPlaces::kNone)
+                    if (keys[i] != ReceiverPlaces::kNone)
                         kind = normals && saysSomething(normals[i]) ? Kind::withNormal
                                                                     : Kind::without;
-                    sorted_[i] = {std::uint32_t(kind) << 30 | (found[k] & kPlaces),
-                                  std::uint32_t(i)};
+                    keys[i] = std::uint32_t(kind) << 30 | (keys[i] & kPlaces);
                 }
             }
         });
-    if (count > 1) radixSort(sorted_);
+    const std::size_t perPixel = std::size_t(options.pointsPerPixel);
+    const std::size_t longest = std::min(perPixel, kMostInRun);
+    const auto pixelOf = [&](std::size_t i) -> std::size_t {
+        if (perPixel == 1) return i;
+        return (options.pixelPoints ? options.pixelPoints[first + i] : first + i) /
+               perPixel;
+    };
+    sorted_.reserve(count / longest + (longest > 1 ? count / (4 * longest) + 1 : 0));
+    for (std::size_t i = 0; i < count;) {
+        const std::size_t pixel = pixelOf(i);
+        const std::size_t most = std::min(count, i + longest);
+        std::size_t end = i + 1;
+        while (end < most && pixelOf(end) == pixel &&
+               ((keys[end] ^ keys[i]) & together_) == 0 && areClose(keys[end], keys[i]))
+            ++end;
+        sorted_.push_back({keys[i], std::uint32_t(i << 4 | (end - i - 1))});
+        i = end;
+    }
+    if (count > 1) sort(sorted_);
 }
 
-ReceiverOrder::Block ReceiverOrder::block(std::size_t first,
-                                          std::size_t end) const noexcept {
+ReceiverOrder::Block ReceiverOrder::block(std::size_t first, std::size_t end,
+                                          std::size_t mostPoints) const noexcept {
     const Kind kind = sorted_[first].kind();
-    std::size_t count = 1;
-    while (first + count < end &&
-           ((sorted_[first + count].key ^ sorted_[first].key) & together_) == 0)
-        ++count;
-    return {count, kind != Kind::alone};
+    std::size_t runs = 1, points = (*this)[first].count;
+    for (; first + runs < end; ++runs) {
+        points += (*this)[first + runs].count;
+        if (points > mostPoints ||
+            ((sorted_[first + runs].key ^ sorted_[first].key) & together_) != 0)
+            break;
+    }
+    return {runs, kind != Kind::alone};
 }
 
 }  // namespace mtsm::shadow

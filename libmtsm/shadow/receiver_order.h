@@ -1,4 +1,7 @@
 // receiver_order.h - the points of a batch, neighbours next to each other.
+//
+// Points of a pixel are neighbours as they come: they are put in order together, as a
+// run, by the place of the first.
 #pragma once
 #include <cstddef>
 #include <cstdint>
@@ -12,27 +15,43 @@ namespace mtsm::shadow {
 
 class ReceiverOrder {
   public:
-    /// `normals` may be null. At most 2^32 points.
-    ReceiverOrder(const BundleQuery& bundles, const glm::dvec3* points,
-                  const glm::dvec3* normals, std::size_t count);
+    static constexpr std::size_t kMostPoints = std::size_t(1) << 28;
+    static constexpr std::size_t kMostInRun = 16;
 
-    /// The point that comes as number i.
-    [[nodiscard]] std::size_t operator[](std::size_t i) const noexcept {
-        return sorted_[i].point;
-    }
-    /// Points of one kind and face, from number `first` on and before `end`.
-    struct Block {
-        std::size_t count = 0;
-        bool bundled = false;  ///< else each goes alone, by ray
+    /// `normals` may be null. At most kMostPoints points, which begin with number `first`
+    /// of the batch that `options` are for.
+    ReceiverOrder(const BundleQuery& bundles, const glm::dvec3* points,
+                  const glm::dvec3* normals, std::size_t count, std::size_t first,
+                  const ShadowOptions& options);
+
+    /// Points that follow each other.
+    struct Run {
+        std::size_t point;
+        std::uint32_t count;
     };
-    [[nodiscard]] Block block(std::size_t first, std::size_t end) const noexcept;
+    [[nodiscard]] std::size_t runs() const noexcept { return sorted_.size(); }
+    /// The run that comes as number i.
+    [[nodiscard]] Run operator[](std::size_t i) const noexcept {
+        return {sorted_[i].run >> 4, (sorted_[i].run & 15) + 1};
+    }
+    /// Of one kind and face, and at most so many points.
+    struct Block {
+        std::size_t runs = 0;
+        bool bundled = false;  ///< else each point goes alone, by ray
+    };
+    /// From run number `first` on and before `end`.
+    [[nodiscard]] Block block(std::size_t first, std::size_t end,
+                              std::size_t mostPoints) const noexcept;
 
   private:
     enum class Kind : std::uint32_t { withNormal = 0, without = 1, alone = 2 };
     struct Entry {
-        std::uint32_t key, point;  // kind, then place
+        std::uint32_t key;  // kind, then place
+        std::uint32_t run;  // its first point, then in four bits how many more it has
         [[nodiscard]] Kind kind() const noexcept { return Kind(key >> 30); }
     };
+    static void sort(std::vector<Entry>& entries);
+
     std::vector<Entry> sorted_;
     std::uint32_t together_;  // bits of a key that those of a block have in common
 };

@@ -1,6 +1,7 @@
 // shadow.h: single queries, batches, rays.
 #include "mtsm/shadow.h"
 
+#include <hwy/cache_control.h>
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -145,14 +146,43 @@ class Groups {
     Waiting waiting_[shadow::SampleSteps::kMost];  // [step]; of the first nobody does
 };
 
+/// Has the points of the next runs brought into the cache, a few at a time while others
+/// are answered: in their order they lie anywhere.
+class Ahead {
+  public:
+    Ahead(const Batch& batch, const shadow::ReceiverOrder& order, std::size_t begin,
+          std::size_t end)
+        : batch_(batch), order_(order), next_(begin), end_(end) {}
+
+    [[nodiscard]] std::size_t left() const { return end_ - next_; }
+    void fetch(std::size_t runs) {
+        for (const std::size_t to = next_ + std::min(runs, left()); next_ < to; ++next_) {
+            const shadow::ReceiverOrder::Run run = order_[next_];
+            // Two points and their normals for each line of the cache, about.
+            for (std::size_t i = run.point; i < run.point + run.count; i += 2) {
+                hwy::Prefetch(batch_.points + i);
+                if (batch_.normals) hwy::Prefetch(batch_.normals + i);
+            }
+        }
+    }
+
+  private:
+    const Batch& batch_;
+    const shadow::ReceiverOrder& order_;
+    std::size_t next_, end_;
+};
+
 /// The same, neighbours together.
 template <typename Take>
 void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles,
                   const Batch& batch, QueryStats& stats, const Take& take) {
-    const shadow::ReceiverOrder order(bundles, batch.points, batch.normals, batch.count);
+    const shadow::ReceiverOrder order(bundles, batch.points, batch.normals, batch.count,
+                                      batch.first, batch.options);
+    using Glance = shadow::BundleQuery::Glance;
+    const Answer lit = bundles.answerOf(Glance::lit);
+    const Answer dark = bundles.answerOf(Glance::dark);
     std::mutex mutex;
     const auto answer = [&](std::size_t begin, std::size_t end) {
-        using Glance = shadow::BundleQuery::Glance;
         constexpr int kMost = shadow::BundleQuery::kMostGlances;
         QueryStats part;
         Groups groups(bundles, part, take);
@@ -161,46 +191,58 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
         Glance told[kMost];
         for (std::size_t first = begin; first < end;) {
             const shadow::ReceiverOrder::Block block =
-                order.block(first, std::min(end, first + kMost));
-            for (std::size_t k = 0; k < block.count; ++k) {
-                const std::size_t i = indices[k] = order[first + k];
-                receivers[k].point = batch.points[i];
-                const glm::dvec3 normal = batch.normal(i);
-                receivers[k].normal =
-                    shadow::saysSomething(normal) ? normal : glm::dvec3(0.0);
+                order.block(first, end, std::size_t(kMost));
+            std::size_t count = 0;
+            for (std::size_t run = first; run < first + block.runs; ++run) {
+                const shadow::ReceiverOrder::Run points = order[run];
+                if (batch.options.pixelPoints)  // which setPatterns() will ask
+                    hwy::Prefetch(batch.options.pixelPoints + batch.first + points.point);
+                for (std::size_t i = points.point; i < points.point + points.count; ++i) {
+                    indices[count] = i;
+                    receivers[count].point = batch.points[i];
+                    const glm::dvec3 normal = batch.normal(i);
+                    receivers[count++].normal =
+                        shadow::saysSomething(normal) ? normal : glm::dvec3(0.0);
+                }
             }
-            first += block.count;
+            first += block.runs;
+            constexpr std::size_t kAtOnce = 32;
+            Ahead ahead(batch, order, first, std::min(first + block.runs, end));
+            ahead.fetch(kAtOnce);
             if (!block.bundled) {
-                for (std::size_t k = 0; k < block.count; ++k)
+                for (std::size_t k = 0; k < count; ++k)
                     take(indices[k],
                          query.shadowFactor(batch.first + indices[k], receivers[k].point,
                                             receivers[k].normal, part));
                 continue;
             }
-            for (std::size_t k = 0; k < block.count; ++k)
+            for (std::size_t k = 0; k < count; ++k)
                 query.count(receivers[k].point, part);
-            bundles.glance(receivers, int(block.count), told, part);
+            bundles.glance(receivers, int(count), told, part);
             // The others close ranks.
             std::size_t left = 0;
-            for (std::size_t k = 0; k < block.count; ++k) {
+            for (std::size_t k = 0; k < count; ++k) {
                 if (told[k] != Glance::unknown) {
-                    take(indices[k], bundles.answerOf(told[k]));
+                    take(indices[k], told[k] == Glance::lit ? lit : dark);
                     continue;
                 }
                 receivers[left] = receivers[k];
-                receivers[left].pattern =
-                    bundles.patternOf(batch.first + indices[k], receivers[k].point);
                 indices[left++] = indices[k];
             }
-            for (std::size_t k = 0; k < left; k += trace::kMostReceivers)
-                groups.add(receivers + k, indices + k,
-                           std::min(left - k, std::size_t(trace::kMostReceivers)));
+            bundles.setPatterns(batch.first, indices, left, receivers);
+            constexpr auto kGroup = std::size_t(trace::kMostReceivers);
+            for (std::size_t k = 0; k < left; k += kGroup) {
+                ahead.fetch(ahead.left() * kGroup / (left - k) + 1);
+                groups.add(receivers + k, indices + k, std::min(left - k, kGroup));
+            }
         }
         groups.finish();
         const std::lock_guard lock(mutex);
         add(stats, part);
     };
-    base::parallelRanges(std::size_t(0), batch.count, kPointsPerTask, answer);
+    const std::size_t perRun = (batch.count + order.runs() - 1) / order.runs();
+    base::parallelRanges(std::size_t(0), order.runs(),
+                         std::max(kPointsPerTask / perRun, std::size_t(1)), answer);
 }
 
 /// Many points at once.
@@ -211,8 +253,7 @@ void answerBundles(const shadow::Query& query, const Batch& batch, QueryStats& s
     const shadow::Receiver only{batch.points[0], shadow::unitNormal(batch.normal(0))};
     const shadow::BundleQuery bundles(batch.map, batch.light, batch.options, batch.errors,
                                       batch.count == 1 ? &only : nullptr, batch.first);
-    // Orders count in 32 bits.
-    constexpr std::size_t kAtOnce = std::size_t(1) << 30;
+    constexpr std::size_t kAtOnce = shadow::ReceiverOrder::kMostPoints;
     for (std::size_t first = 0; first < batch.count; first += kAtOnce) {
         answerGroups(
             query, bundles, batch.part(first, std::min(kAtOnce, batch.count - first)),

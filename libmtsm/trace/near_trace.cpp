@@ -155,12 +155,17 @@ class Walk {
     Walk(const NearField& field, RayBundle& rays, const float (*end)[kLanes],
          float height)
         : field_(field), rays_(rays), end_(end), height_(height) {
-        for (int axis = 0; axis < 3; ++axis) {
-            std::fill_n(low_[axis], kMostReceivers, kInfinity);
-            std::fill_n(high_[axis], kMostReceivers, -kInfinity);
+        std::uint32_t any = 0;
+        for (int receiver = 0; receiver < rays.receivers; ++receiver) {
+            const std::uint32_t open = openOf(receiver);
+            lanesLeft_ |= std::uint16_t(std::uint32_t(open != 0) << receiver);
+            any |= open;
         }
-        for (int receiver = 0; receiver < rays.receivers; ++receiver)
-            bound(receiver);
+        hasFew_ = rays.groups == 1 && any >> kFew == 0;
+        for (int k = 0; k < kMostReceivers; k += int(hn::MaxLanes(Floats())))
+            bound(k);
+        for (std::uint32_t rest = lanesLeft_ & rays.wide; rest; rest &= rest - 1)
+            boundWide(std::countr_zero(rest));
     }
 
     void run() {
@@ -173,14 +178,21 @@ class Walk {
         start[2] = rays_.w[receiver];
     }
 
-    void bound(int receiver);
-    [[nodiscard]] bool anyOpen(int receiver) const;
+    void bound(int k);
+    void boundWide(int receiver);
+    [[nodiscard]] std::uint32_t openOf(int receiver) const;
     [[nodiscard]] Box boxOf(int receiver, int row, int lane) const;
     [[nodiscard]] Mask overlaps(int receiver, int row, int k, const Box& box) const;
     void node(std::size_t level, std::size_t index);
     void findLanes(const NearBoxes& boxes, std::uint32_t children, int k,
                    std::uint32_t* lanes) const;
     void chunk(std::size_t index, std::uint32_t lanes);
+    [[nodiscard]] std::uint32_t trianglesForAny(const Triangles& triangles) const;
+    [[nodiscard]] std::uint32_t lanesFor(const Triangles& triangles, int t,
+                                         std::uint32_t lanes) const;
+    void crossSeen(int lane, const Triangles& triangles, std::uint32_t found);
+    void packRays();
+    void crossPacked(const Triangles& triangles, int t, std::uint32_t lanes);
     [[nodiscard]] HWY_INLINE std::uint32_t trianglesFor(int lane,
                                                         const Triangles& triangles) const;
     [[nodiscard]] Mask inBox(int lane, const Triangles& triangles, std::size_t t) const;
@@ -201,17 +213,32 @@ class Walk {
     /// empty.
     alignas(64) float low_[3][kMostReceivers], high_[3][kMostReceivers];
     /// [axis][receiver]: what places on its rays are rounded by, at most.
-    alignas(64) float margin_[3][kMostReceivers] = {};
+    alignas(64) float margin_[3][kMostReceivers];
     /// [receiver]: as far as its rays come in w, margin included.
-    alignas(64) float reach_[kMostReceivers] = {};
+    alignas(64) float reach_[kMostReceivers];
     std::uint16_t lanesLeft_ = 0;  ///< receivers with a ray that is open
+    /// Around all receivers whose rays have bounds: where they start, margins included
+    /// ([axis]), their slopes, and how far they come.
+    float startLow_[3] = {kInfinity, kInfinity, kInfinity};
+    float startHigh_[3] = {-kInfinity, -kInfinity, -kInfinity};
+    float slopeLow_[2] = {kInfinity, kInfinity}, slopeHigh_[2] = {-kInfinity, -kInfinity};
+    float furthest_ = 0.0f;
+
+    /// Ray number j of each receiver, where receivers have few: [axis][j][receiver].
+    static constexpr int kFew = 4;
+    bool hasFew_ = false;
+    int each_ = 0;  ///< rays of a receiver; 0: not packed
+    alignas(64) float way_[3][kFew][kMostReceivers];
+    alignas(64) float begin_[kFew][kMostReceivers], endOf_[kFew][kMostReceivers];
+    std::uint16_t packedOpen_[kFew];  ///< one bit a receiver
 };
 
-bool Walk::anyOpen(int receiver) const {
+/// Lanes of its rows that are.
+std::uint32_t Walk::openOf(int receiver) const {
     std::uint32_t open = 0;
     for (int group = 0; group < rays_.groups; ++group)
         open |= rays_.open[rays_.row(receiver, group)];
-    return open != 0;
+    return open;
 }
 
 /// Where rays go that start between two corners, go sideways between two slopes, and come
@@ -229,31 +256,58 @@ Box boxAround(const float (&startLow)[3], const float (&startHigh)[3],
     return box;
 }
 
-/// Contains boxOf() of all its rays.
-void Walk::bound(int receiver) {
-    if (!anyOpen(receiver)) return;
-    lanesLeft_ = std::uint16_t(lanesLeft_ | 1u << receiver);
+/// Of as many receivers as a vector holds, from number k on: boxes that contain boxOf()
+/// of all their rays, as boxAround() makes them. Those of wide ones are not told here.
+void Walk::bound(int k) {
+    const Floats d;
+    const auto load = [&](const float* p) { return hn::Load(d, p + k); };
+    const Mask open = maskOf(std::uint32_t(lanesLeft_ & ~rays_.wide) >> k);
+    const Vec zero = hn::Zero(d), rise = load(rays_.rise);
+    const Vec never = hn::Set(d, kInfinity);
+    const auto least = [&](float& low, Vec x) {
+        x = hn::IfThenElse(open, x, never);
+        low = std::min(low, hn::GetLane(hn::MinOfLanes(d, x)));
+    };
+    const auto most = [&](float& high, Vec x) {
+        x = hn::IfThenElse(open, x, hn::Neg(never));
+        high = std::max(high, hn::GetLane(hn::MaxOfLanes(d, x)));
+    };
+    const Vec starts[3] = {load(rays_.u), load(rays_.v), load(rays_.w)};
+    const Vec lows[3] = {load(rays_.slopeLowU), load(rays_.slopeLowV), zero};
+    const Vec highs[3] = {load(rays_.slopeHighU), load(rays_.slopeHighV),
+                          hn::Set(d, 1.0f)};
+    for (int axis = 0; axis < 3; ++axis) {
+        const Vec start = starts[axis], low = lows[axis], high = highs[axis];
+        const Vec way = hn::Mul(hn::Max(hn::Abs(low), hn::Abs(high)), rise);
+        const Vec margin =
+            hn::Mul(hn::Add(hn::Abs(start), way), hn::Set(d, 2.0f * kMargin));
+        const Vec from =
+            hn::Sub(hn::Add(start, hn::Min(zero, hn::Mul(low, rise))), margin);
+        const Vec to =
+            hn::Add(hn::Add(start, hn::Max(zero, hn::Mul(high, rise))), margin);
+        hn::Store(hn::IfThenElse(open, from, never), d, low_[axis] + k);
+        hn::Store(hn::IfThenElse(open, to, hn::Neg(never)), d, high_[axis] + k);
+        hn::Store(hn::IfThenElseZero(open, margin), d, margin_[axis] + k);
+        least(hull_.low[axis], from), most(hull_.high[axis], to);
+        least(startLow_[axis], hn::Sub(start, margin));
+        most(startHigh_[axis], hn::Add(start, margin));
+        if (axis < 2) {
+            least(slopeLow_[axis], low), most(slopeHigh_[axis], high);
+        } else {
+            const Vec reach = hn::Add(rise, margin);
+            hn::Store(hn::IfThenElseZero(open, reach), d, reach_ + k);
+            most(furthest_, reach);
+        }
+    }
+}
+
+/// The same of one whose rays have no bounds.
+void Walk::boundWide(int receiver) {
     Box box;
-    if (rays_.wide >> receiver & 1) {
-        for (int group = 0; group < rays_.groups; ++group) {
-            const int row = rays_.row(receiver, group);
-            for (std::uint32_t open = rays_.open[row]; open; open &= open - 1)
-                box.include(boxOf(receiver, row, std::countr_zero(open)));
-        }
-    } else {
-        float start[3];
-        startOf(receiver, start);
-        const float lows[3] = {rays_.slopeLowU[receiver], rays_.slopeLowV[receiver],
-                               0.0f};
-        const float highs[3] = {rays_.slopeHighU[receiver], rays_.slopeHighV[receiver],
-                                1.0f};
-        box = boxAround(start, start, lows, highs, rays_.rise[receiver]);
-        for (int axis = 0; axis < 3; ++axis) {
-            const float way = std::max(std::abs(lows[axis]), std::abs(highs[axis])) *
-                              rays_.rise[receiver];
-            margin_[axis][receiver] = (std::abs(start[axis]) + way) * 2.0f * kMargin;
-        }
-        reach_[receiver] = rays_.rise[receiver] + margin_[2][receiver];
+    for (int group = 0; group < rays_.groups; ++group) {
+        const int row = rays_.row(receiver, group);
+        for (std::uint32_t open = rays_.open[row]; open; open &= open - 1)
+            box.include(boxOf(receiver, row, std::countr_zero(open)));
     }
     for (int axis = 0; axis < 3; ++axis) {
         low_[axis][receiver] = box.low[axis];
@@ -355,29 +409,137 @@ void Walk::findLanes(const NearBoxes& boxes, std::uint32_t children, int k,
 
 void Walk::chunk(std::size_t index, std::uint32_t lanes) {
     const Triangles triangles(field_.chunks, index);
-    const std::uint32_t all = (1u << field_.chunks.place(index).triangles) - 1;
-    // Which, for all of them first: branches on what is found are foreseen badly.
-    std::uint32_t foundFor[kMostReceivers], some = 0;
-    for (std::uint32_t rest = lanes; rest; rest &= rest - 1) {
-        const int lane = std::countr_zero(rest);
-        foundFor[lane] = all & trianglesFor(lane, triangles);
-        some |= std::uint32_t(foundFor[lane] != 0) << lane;
+    std::uint32_t any = (1u << field_.chunks.place(index).triangles) - 1;
+    if ((lanes & rays_.wide) == 0) any &= trianglesForAny(triangles);
+    if (any == 0) return;
+    // Which, for all of them first: branches on what is found are foreseen badly. Either
+    // triangle by triangle or receiver by receiver, whichever are fewer.
+    std::uint32_t foundFor[kMostReceivers], lanesOf[kTriangles];
+    std::uint32_t some = 0, met = 0;  // receivers, triangles
+    if ((lanes & rays_.wide) == 0 && std::popcount(any) < std::popcount(lanes)) {
+        for (; any; any &= any - 1) {
+            const int t = std::countr_zero(any);
+            lanesOf[t] = lanesFor(triangles, t, lanes);
+            some |= lanesOf[t];
+            met |= std::uint32_t(lanesOf[t] != 0) << t;
+        }
+        if (met == 0) return;
+        if (hasFew_ && std::popcount(met) <= std::popcount(some)) {
+            if (each_ == 0) packRays();
+            for (; met; met &= met - 1) {
+                const int t = std::countr_zero(met);
+                crossPacked(triangles, t, lanesOf[t] & lanesLeft_);
+            }
+            return;
+        }
+        std::fill_n(foundFor, kMostReceivers, 0u);
+        for (; met; met &= met - 1) {
+            const int t = std::countr_zero(met);
+            for (std::uint32_t rest = lanesOf[t]; rest; rest &= rest - 1)
+                foundFor[std::countr_zero(rest)] |= 1u << t;
+        }
+    } else {
+        for (std::uint32_t rest = lanes; rest; rest &= rest - 1) {
+            const int lane = std::countr_zero(rest);
+            foundFor[lane] = any & trianglesFor(lane, triangles);
+            some |= std::uint32_t(foundFor[lane] != 0) << lane;
+        }
     }
     for (; some; some &= some - 1) {
         const int lane = std::countr_zero(some);
-        std::uint32_t found = foundFor[lane];
-        float start[3];
-        startOf(lane, start);
-        const SeenTriangles seen(triangles, start);
-        if (rays_.groups == 1 && std::popcount(rays_.open[lane]) < std::popcount(found)) {
-            crossEach(lane, seen, triangles, found);
-            continue;
-        }
-        for (; found && (lanesLeft_ >> lane & 1); found &= found - 1) {
-            const int t = std::countr_zero(found);
-            cross(lane, seen, t, boxAround(triangles, t));
-        }
+        crossSeen(lane, triangles, foundFor[lane]);
     }
+}
+
+/// Closes the receiver's rays that cross one of these triangles.
+void Walk::crossSeen(int lane, const Triangles& triangles, std::uint32_t found) {
+    float start[3];
+    startOf(lane, start);
+    const SeenTriangles seen(triangles, start);
+    if (rays_.groups == 1 && std::popcount(rays_.open[lane]) < std::popcount(found)) {
+        crossEach(lane, seen, triangles, found);
+        return;
+    }
+    for (; found && (lanesLeft_ >> lane & 1); found &= found - 1) {
+        const int t = std::countr_zero(found);
+        cross(lane, seen, t, boxAround(triangles, t));
+    }
+}
+
+/// Triangles that rays of any receiver may meet that have bounds, whatever their planes:
+/// what inCone() finds for one of them is among those.
+std::uint32_t Walk::trianglesForAny(const Triangles& triangles) const {
+    const Floats d;
+    std::uint32_t found = 0;
+    for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
+        const auto low = [&](int axis) {
+            return hn::Sub(hn::Load(d, triangles.low[axis] + t),
+                           hn::Set(d, startHigh_[axis]));
+        };
+        const auto high = [&](int axis) {
+            return hn::Sub(hn::Load(d, triangles.high[axis] + t),
+                           hn::Set(d, startLow_[axis]));
+        };
+        const Vec least = hn::Max(hn::Zero(d), low(2));
+        const Vec most = hn::Min(high(2), hn::Set(d, furthest_));
+        Mask may = hn::Le(least, most);
+        for (int axis = 0; axis < 2; ++axis)
+            may = hn::And(may,
+                          comesBetween(low(axis), high(axis), hn::Set(d, slopeLow_[axis]),
+                                       hn::Set(d, slopeHigh_[axis]), least, most));
+        found |= bitsOf(may) << t;
+    }
+    return found;
+}
+
+/// Of some receivers, whose rays have bounds, those for which trianglesFor() finds
+/// triangle t.
+std::uint32_t Walk::lanesFor(const Triangles& triangles, int t,
+                             std::uint32_t lanes) const {
+    const Floats d;
+    std::uint32_t found = 0;
+    for (int k = 0; k < kMostReceivers; k += int(hn::Lanes(d))) {
+        if (((lanes >> k) & kAll) == 0) continue;
+        const auto load = [&](const float* p) { return hn::Load(d, p + k); };
+        const Vec start[3] = {load(rays_.u), load(rays_.v), load(rays_.w)};
+        const auto low = [&](int axis) {
+            return hn::Sub(hn::Set(d, triangles.low[axis][t]),
+                           hn::Add(start[axis], load(margin_[axis])));
+        };
+        const auto high = [&](int axis) {
+            return hn::Sub(hn::Set(d, triangles.high[axis][t]),
+                           hn::Sub(start[axis], load(margin_[axis])));
+        };
+        const Vec least = hn::Max(hn::Zero(d), low(2));
+        const Vec most = hn::Min(high(2), load(reach_));
+        Mask may = hn::Le(least, most);
+        may = hn::And(may, comesBetween(low(0), high(0), load(rays_.slopeLowU),
+                                        load(rays_.slopeHighU), least, most));
+        may = hn::And(may, comesBetween(low(1), high(1), load(rays_.slopeLowV),
+                                        load(rays_.slopeHighV), least, most));
+        if (rays_.hasPlanes) {
+            const Vec normal[3] = {load(rays_.planeU), load(rays_.planeV),
+                                   load(rays_.planeW)};
+            Vec highest = hn::Set(d, -kInfinity);
+            for (const auto& corner : triangles.corner) {
+                Vec height = hn::Zero(d);
+                for (int axis = 0; axis < 3; ++axis)
+                    height = hn::Add(
+                        height, hn::Mul(normal[axis], hn::Sub(hn::Set(d, corner[axis][t]),
+                                                              start[axis])));
+                highest = hn::Max(highest, height);
+            }
+            // Triangles::roundingAbove().
+            Vec rounding = hn::Zero(d);
+            for (int axis = 0; axis < 3; ++axis)
+                rounding = hn::Add(rounding, hn::Mul(hn::Abs(normal[axis]),
+                                                     hn::Set(d, triangles.step[axis])));
+            rounding = hn::Mul(rounding, hn::Set(d, 0.5f));
+            may = hn::And(may, hn::Gt(highest, hn::Max(hn::Set(d, height_), rounding)));
+        }
+        found |= bitsOf(may) << k;
+    }
+    return found & lanes;
 }
 
 /// Triangles that the receiver's rays may meet.
@@ -520,7 +682,8 @@ void Walk::cross(int lane, const SeenTriangles& seen, int t, const Box& box) {
             closed = closed || hits != 0;
         }
     }
-    if (closed && !anyOpen(lane)) lanesLeft_ = std::uint16_t(lanesLeft_ & ~(1u << lane));
+    if (closed && openOf(lane) == 0)
+        lanesLeft_ = std::uint16_t(lanesLeft_ & ~(1u << lane));
 }
 
 /// The same ray by ray, each against all the triangles at once: of few rays.
@@ -556,6 +719,90 @@ void Walk::crossEach(int lane, const SeenTriangles& seen, const Triangles& trian
         }
     }
     if (rays_.open[lane] == 0) lanesLeft_ = std::uint16_t(lanesLeft_ & ~(1u << lane));
+}
+
+/// Where receivers have few rays each, those with the same number become vectors.
+void Walk::packRays() {
+    std::uint32_t any = 0;
+    for (int receiver = 0; receiver < rays_.receivers; ++receiver)
+        any |= rays_.open[receiver];
+    each_ = int(std::bit_width(any));
+    for (int j = 0; j < each_; ++j) {
+        packedOpen_[j] = 0;
+        for (int receiver = 0; receiver < kMostReceivers; ++receiver) {
+            const int row = std::min(receiver, rays_.receivers - 1);
+            way_[0][j][receiver] = rays_.du[row][j];
+            way_[1][j][receiver] = rays_.dv[row][j];
+            way_[2][j][receiver] = rays_.dw[row][j];
+            begin_[j][receiver] = rays_.begin[row][j];
+            endOf_[j][receiver] = end_[row][j];
+        }
+        for (int receiver = 0; receiver < rays_.receivers; ++receiver)
+            packedOpen_[j] |= std::uint16_t((rays_.open[receiver] >> j & 1) << receiver);
+    }
+}
+
+/// Closes packed rays of some receivers that cross triangle t: for each as crossEach()
+/// does.
+void Walk::crossPacked(const Triangles& triangles, int t, std::uint32_t lanes) {
+    const Floats d;
+    Vec3 corners[3], edges[3];
+    for (int c = 0; c < 3; ++c)
+        corners[c] = {hn::Set(d, triangles.corner[c][0][t]),
+                      hn::Set(d, triangles.corner[c][1][t]),
+                      hn::Set(d, triangles.corner[c][2][t])};
+    for (int c = 0; c < 3; ++c)
+        edges[c] = subtract(corners[(c + 1) % 3], corners[c]);
+    const Vec3 boxLow = {hn::Set(d, triangles.low[0][t]), hn::Set(d, triangles.low[1][t]),
+                         hn::Set(d, triangles.low[2][t])};
+    const Vec3 boxHigh = {hn::Set(d, triangles.high[0][t]),
+                          hn::Set(d, triangles.high[1][t]),
+                          hn::Set(d, triangles.high[2][t])};
+    const Vec3 normal = HWY_NAMESPACE::cross(edges[0], edges[1]);
+    for (int k = 0; k < kMostReceivers; k += int(hn::Lanes(d))) {
+        const std::uint32_t some = (lanes >> k) & kAll;
+        if (some == 0) continue;
+        const auto load = [&](const float* p) { return hn::Load(d, p + k); };
+        // As SeenTriangles.
+        const Vec3 origin = {load(rays_.u), load(rays_.v), load(rays_.w)};
+        Vec3 side[3], furthest = {hn::Zero(d), hn::Zero(d), hn::Zero(d)};
+        for (int c = 0; c < 3; ++c) {
+            const Vec3 middle =
+                add(subtract(corners[c], origin), subtract(corners[(c + 1) % 3], origin));
+            side[c] = HWY_NAMESPACE::cross(middle, edges[c]);
+            furthest = max(furthest, abs(middle));
+        }
+        const Vec3 terms = crossTerms(furthest, subtract(boxHigh, boxLow));
+        const Vec distance = dot(normal, subtract(corners[0], origin));
+        for (int j = 0; j < each_; ++j) {
+            const std::uint32_t open = (std::uint32_t(packedOpen_[j]) >> k) & some;
+            if (open == 0) continue;
+            const Vec3 delta = {load(way_[0][j]), load(way_[1][j]), load(way_[2][j])};
+            const Vec begin = load(begin_[j]), end = load(endOf_[j]);
+            Mask met = meets(delta, begin, end, side[0], side[1], side[2], terms, normal,
+                             distance);
+            if ((open & bitsOf(met)) == 0) continue;
+            const auto inBox = [&](Vec start, Vec way, Vec low, Vec high) {
+                const Vec reach = hn::Mul(hn::Abs(way), end);
+                const Vec margin =
+                    hn::Mul(hn::Add(hn::Abs(start), reach), hn::Set(d, kMargin));
+                const Vec from = hn::Add(start, hn::Mul(begin, way));
+                const Vec to = hn::Add(start, hn::Mul(end, way));
+                return hn::And(hn::Le(hn::Sub(hn::Min(from, to), margin), high),
+                               hn::Ge(hn::Add(hn::Max(from, to), margin), low));
+            };
+            met = hn::And(met, inBox(origin.x, delta.x, boxLow.x, boxHigh.x));
+            met = hn::And(met, inBox(origin.y, delta.y, boxLow.y, boxHigh.y));
+            met = hn::And(met, inBox(origin.z, delta.z, boxLow.z, boxHigh.z));
+            const std::uint32_t hits = (open & bitsOf(met)) << k;
+            packedOpen_[j] &= std::uint16_t(~hits);
+            for (std::uint32_t rest = hits; rest; rest &= rest - 1) {
+                const int lane = std::countr_zero(rest);
+                rays_.open[lane] &= std::uint16_t(~(1u << j));
+                if (rays_.open[lane] == 0) lanesLeft_ &= std::uint16_t(~(1u << lane));
+            }
+        }
+    }
 }
 
 void traceNearAt(const NearField& field, RayBundle& rays, const float (*end)[kLanes],

@@ -19,6 +19,8 @@ TEST_CASE("rays go sideways within their bundle's bounds, however deep they star
     const Projection view = test::plainProjection(width, width);
     for (const LightShape shape :
          {LightShape::point, LightShape::disk, LightShape::rect, LightShape::sphere}) {
+        // Up to 16 samples have bounds of their own.
+        const std::uint32_t samples = GENERATE(1u, 4u, 11u, 16u, 64u, 256u);
         AreaLight light;
         light.shape = shape;
         light.direction = glm::normalize(glm::dvec3(0.3, -0.2, -1));
@@ -26,8 +28,8 @@ TEST_CASE("rays go sideways within their bundle's bounds, however deep they star
         light.size = {0.3, 0.5};
         const light::LightSampler sampler(light);
         shadow::LightRays::Setting setting;
-        setting.samples = 256;
-        setting.steps = {1, {256}};
+        setting.samples = samples;
+        setting.steps = {1, {samples}};
         setting.isPoint = sampler.isPoint();
         const shadow::LightRays rays(view, width, width, {4.0f, 4.1f}, sampler, setting);
         for (int trial = 0; trial < 2000; ++trial) {
@@ -77,7 +79,8 @@ TEST_CASE("rays go sideways within their bundle's bounds, however deep they star
                     check(dv, bundle.rowLowV[row], bundle.rowHighV[row]);
                 }
             }
-            INFO(name(shape) << " from " << p.x << " " << p.y << " " << p.z);
+            INFO(samples << " of " << name(shape) << " from " << p.x << " " << p.y << " "
+                         << p.z);
             CHECK(outside == 0);
         }
     }

@@ -137,6 +137,20 @@ TEST_CASE("a point's samples do not depend on where in a batch its pixel is",
         CHECK(forwards == backwards);
         std::reverse(points.begin(), points.end());
         std::reverse(numbers.begin(), numbers.end());
+        // Points of a pixel that do not follow each other.
+        const auto turn = [&](auto& values) {  // of a hundred pixels of three
+            auto turned = values;
+            for (std::size_t i = 0; i < values.size(); ++i)
+                turned[i] = values[i % 100 * 3 + i / 100];
+            values = turned;
+        };
+        const std::vector<glm::dvec3> pointsBefore = points;
+        const std::vector<std::uint32_t> numbersBefore = numbers;
+        turn(points), turn(numbers);
+        const std::vector<float> apart = answers();
+        turn(forwards);
+        CHECK(forwards == apart);
+        points = pointsBefore, numbers = numbersBefore;
     }
 }
 
