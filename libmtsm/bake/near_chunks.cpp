@@ -350,6 +350,10 @@ NearHair packNear(const std::vector<NearSegment>& segments,
             const Footprints& footprints) {
             hair.chunks.set(i, chunkOf(run, footprints), more[task]);
         });
+    std::size_t rows = 0;
+    for (const std::vector<NearHairChunks::Row>& part : more)
+        rows += part.size();
+    hair.chunks.reserveMore(rows);
     for (std::size_t task = 0; task < more.size(); ++task) {
         const std::size_t first = task * kChunksPerTask;
         hair.chunks.addMore(first, std::min(kChunksPerTask, hair.chunks.size() - first),

@@ -5,7 +5,7 @@
 #include <cctype>
 #include <charconv>
 #include <cmath>
-#include <cstring>
+#include <string_view>
 
 #include "base/message.h"
 #include "base/printable.h"
@@ -41,10 +41,11 @@ bool fits(const SettingInfo& info, const SettingValue& value) {
     return true;
 }
 
-/// A scene file may spell the word "5", or bytes, without quotes.
+/// A scene file may spell the words "5" and "true", or bytes, without quotes.
 SettingValue asMeant(const SettingInfo& info, const SettingValue& value) {
+    if (!std::holds_alternative<std::string>(info.fallback)) return value;
     const auto* number = std::get_if<double>(&value);
-    if (!number || !std::holds_alternative<std::string>(info.fallback)) return value;
+    if (!number) return settingText(value);
     const bool whole =
         *number >= 0.0 && *number < 0x1p53 && *number == std::floor(*number);
     return whole ? std::to_string(std::uint64_t(*number)) : settingText(value);
@@ -113,16 +114,16 @@ std::string nearestName(const std::string& wrong, const std::vector<std::string>
 }
 
 std::optional<std::uint64_t> bytesOf(const std::string& text) {
-    static constexpr const char* kSuffixes = "KMGT";
+    constexpr std::string_view kSuffixes = "KMGT";
     std::uint64_t count = 0;
     const char* const end = text.data() + text.size();
     const auto [at, problem] = std::from_chars(text.data(), end, count);
     if (problem != std::errc() || count == 0) return std::nullopt;
     if (at == end) return count;
-    const char* const suffix =
-        std::strchr(kSuffixes, std::toupper(static_cast<unsigned char>(*at)));
-    if (!suffix || at + 1 != end) return std::nullopt;
-    const auto shift = 10 * (suffix - kSuffixes + 1);
+    const auto suffix =
+        kSuffixes.find(char(std::toupper(static_cast<unsigned char>(*at))));
+    if (suffix == std::string_view::npos || at + 1 != end) return std::nullopt;
+    const auto shift = 10 * (suffix + 1);
     if (count > UINT64_MAX >> shift) return std::nullopt;
     return count << shift;
 }

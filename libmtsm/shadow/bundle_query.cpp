@@ -474,8 +474,9 @@ void BundleQuery::traceSheets(const Face& face, Rays& rays) const noexcept {
                     left > options.dark ? -std::log(left) : trace::kDarkDepth;
         }
         std::copy_n(rays.fates.layersBegin[row], trace::kLanes, bundle.begin[row]);
-        std::copy_n(rays.fates.layersBegin[row], trace::kLanes,
-                    bundle.beginSurfaces[row]);
+        if (!opaque_)
+            std::copy_n(rays.fates.layersBegin[row], trace::kLanes,
+                        bundle.beginSurfaces[row]);
     }
     for (float& spread : bundle.spread)
         spread *= kSheetSpread;
@@ -745,21 +746,27 @@ Answer BundleQuery::answerOf(Glance told) const noexcept {
             errors_ ? errorOf(Sums{}, 0) : 0.0f};
 }
 
+/// Groups of rays that so many samples take.
+static int groupsOf(std::uint32_t samples) noexcept {
+    return int((samples + trace::kLanes - 1) / trace::kLanes);
+}
+
 void BundleQuery::look(const Receiver* receivers, int count, int step, Sums* sums,
                        QueryStats& stats) const noexcept {
-    const auto groupsOf = [](std::uint32_t samples) {
-        return int((samples + trace::kLanes - 1) / trace::kLanes);
-    };
-    const int begin = groupsOf(steps_.first(step)), end = groupsOf(steps_.end[step]);
     // Near media are looked at once for all rays of a receiver in a bundle; the way
     // through layers is each ray's own.
-    const int most = std::max(trace::kMostMediaRows / std::max(end - begin, 1), 1);
-    if (!opaque_ && count > most) {
-        for (int first = 0; first < count; first += most)
-            look(receivers + first, std::min(most, count - first), step, sums + first,
-                 stats);
-        return;
-    }
+    const int groups = groupsOf(steps_.end[step]) - groupsOf(steps_.first(step));
+    const int most = opaque_ ? trace::kMostReceivers
+                             : std::max(trace::kMostMediaRows / std::max(groups, 1), 1);
+    for (int first = 0; first < count; first += most)
+        lookAtOnce(receivers + first, std::min(most, count - first), step, sums + first,
+                   stats);
+}
+
+/// Of as many as a bundle has room for. Takes much of the stack.
+void BundleQuery::lookAtOnce(const Receiver* receivers, int count, int step, Sums* sums,
+                             QueryStats& stats) const noexcept {
+    const int begin = groupsOf(steps_.first(step)), end = groupsOf(steps_.end[step]);
     const bool normals = receivers[0].normal != glm::dvec3(0.0);
     const bool weights = normals && options_.weight == Weight::cosine;
     const std::uint32_t home = faceOf(receivers[0].point);

@@ -131,6 +131,8 @@ class BundleQuery {
         trace::RayDepths depths;
     };
 
+    void lookAtOnce(const Receiver* receivers, int count, int step, Sums* sums,
+                    QueryStats& stats) const noexcept;
     void findLit(const Face& face, Outlook* outlooks, int count,
                  Glance* told) const noexcept;
     [[nodiscard]] bool isFree(const Face& face, const Outlook& starts) const noexcept;

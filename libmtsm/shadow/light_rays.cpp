@@ -525,20 +525,6 @@ void setThresholds(std::uint32_t key, std::uint8_t* thresholds) {
     std::memcpy(thresholds, far, sizeof far);
 }
 
-/// Takes what some rays go sideways for what all the light has.
-void setSlopes(int receiver, float (&low)[2], float (&high)[2],
-               trace::RayBundle& bundle) {
-    // What a slope is rounded by, many times.
-    const auto grow = [](float& least, float& most) {
-        const float margin = std::max(std::abs(least), std::abs(most)) * 0x1p-18f;
-        least -= margin, most += margin;
-    };
-    grow(low[0], high[0]), grow(low[1], high[1]);
-    if (!(high[0] - low[0] < HUGE_VALF && high[1] - low[1] < HUGE_VALF)) return;
-    bundle.slopeLowU[receiver] = low[0], bundle.slopeHighU[receiver] = high[0];
-    bundle.slopeLowV[receiver] = low[1], bundle.slopeHighV[receiver] = high[1];
-}
-
 /// A few rays go sideways much less than all that the light may have.
 void boundFew(int count, int each, trace::RayBundle& bundle) {
     constexpr int kFirst = trace::kMostReceivers;
@@ -558,32 +544,16 @@ void boundFew(int count, int each, trace::RayBundle& bundle) {
             low[0] = std::min(low[0], u[i]), high[0] = std::max(high[0], u[i]);
             low[1] = std::min(low[1], v[i]), high[1] = std::max(high[1], v[i]);
         }
-        setSlopes(receiver, low, high, bundle);
+        // What a slope is rounded by, many times.
+        const auto grow = [](float& least, float& most) {
+            const float margin = std::max(std::abs(least), std::abs(most)) * 0x1p-18f;
+            least -= margin, most += margin;
+        };
+        grow(low[0], high[0]), grow(low[1], high[1]);
+        if (!(high[0] - low[0] < HUGE_VALF && high[1] - low[1] < HUGE_VALF)) continue;
+        bundle.slopeLowU[receiver] = low[0], bundle.slopeHighU[receiver] = high[0];
+        bundle.slopeLowV[receiver] = low[1], bundle.slopeHighV[receiver] = high[1];
     }
-}
-
-/// Those of a row go sideways somewhat less, and of a receiver whose horizon cuts the
-/// light much less.
-void boundRow(int receiver, trace::RayBundle& bundle) {
-    const std::uint32_t open = bundle.open[receiver];
-    if (open == 0 || (bundle.wide >> receiver & 1)) return;
-    const Vec never = constant(HUGE_VALF);
-    Vec lowU = never, lowV = never, highU = hn::Neg(never), highV = highU;
-    for (int k = 0; k < kLanes; k += kN) {
-        const MaskF some = lanes::maskOf(open >> k);
-        const Vec per = hn::Div(constant(1.0f), hn::Load(kF, bundle.dw[receiver] + k));
-        const Vec u = hn::Mul(hn::Load(kF, bundle.du[receiver] + k), per);
-        const Vec v = hn::Mul(hn::Load(kF, bundle.dv[receiver] + k), per);
-        lowU = hn::IfThenElse(some, hn::Min(lowU, u), lowU);
-        lowV = hn::IfThenElse(some, hn::Min(lowV, v), lowV);
-        highU = hn::IfThenElse(some, hn::Max(highU, u), highU);
-        highV = hn::IfThenElse(some, hn::Max(highV, v), highV);
-    }
-    float low[2] = {hn::GetLane(hn::MinOfLanes(kF, lowU)),
-                    hn::GetLane(hn::MinOfLanes(kF, lowV))};
-    float high[2] = {hn::GetLane(hn::MaxOfLanes(kF, highU)),
-                     hn::GetLane(hn::MaxOfLanes(kF, highV))};
-    setSlopes(receiver, low, high, bundle);
 }
 
 /// To the first of a row's lanes; the others are zero.
@@ -664,38 +634,54 @@ HWY_INLINE void leastOf(Vec a, Vec b, Vec c, Vec d, float (&least)[4]) {
 #endif
 }
 
-/// What the rays of each row go sideways: half of what their part of the light may have.
-void boundRows(trace::RayBundle& bundle) {
+/// What the open rays of a row go sideways. Of one that hardly rises no more is known
+/// than of all the light.
+trace::RayBundle::Slopes slopesOf(const trace::RayBundle& bundle, int receiver, int row) {
     const Vec never = constant(HUGE_VALF);
+    Vec u = never, v = never, minusU = never, minusV = never;
+    std::uint32_t level = 0;
+    for (int i = 0; i < kLanes; i += kN) {
+        const Vec dw = hn::Load(kF, bundle.dw[row] + i), per = reciprocal(dw);
+        const Vec du = hn::Mul(hn::Load(kF, bundle.du[row] + i), per);
+        const Vec dv = hn::Mul(hn::Load(kF, bundle.dv[row] + i), per);
+        const MaskF asked = maskOf(std::uint32_t(bundle.open[row]) >> i);
+        const MaskF open = hn::And(asked, hn::Gt(dw, constant(0x1p-124f)));
+        level |= bitsOf(hn::AndNot(open, asked));
+        u = hn::Min(u, hn::IfThenElse(open, du, never));
+        v = hn::Min(v, hn::IfThenElse(open, dv, never));
+        minusU = hn::Min(minusU, hn::IfThenElse(open, hn::Neg(du), never));
+        minusV = hn::Min(minusV, hn::IfThenElse(open, hn::Neg(dv), never));
+    }
+    if (level != 0)
+        return {bundle.slopeLowU[receiver], bundle.slopeHighU[receiver],
+                bundle.slopeLowV[receiver], bundle.slopeHighV[receiver]};
+    if (bundle.open[row] == 0) return {};
+    float least[4];
+    leastOf(u, minusU, v, minusV, least);
+    // What a slope is rounded by, many times.
+    for (float& x : least)
+        x -= std::abs(x) * 0x1p-18f + 0x1p-80f;
+    return {least[0], -least[1], least[2], -least[3]};
+}
+
+/// Half of what their part of the light may have.
+void boundRows(trace::RayBundle& bundle) {
     for (int group = 0; group < bundle.groups; ++group)
         bundle.clearGroup(group);
     for (int receiver = 0; receiver < bundle.receivers; ++receiver) {
-        for (int group = 0; group < bundle.groups; ++group) {
-            const int row = bundle.row(receiver, group);
-            Vec u = never, v = never, minusU = never, minusV = never;
-            for (int i = 0; i < kLanes; i += kN) {
-                const Vec dw = hn::Load(kF, bundle.dw[row] + i);
-                const Vec per = reciprocal(dw);
-                const Vec du = hn::Mul(hn::Load(kF, bundle.du[row] + i), per);
-                const Vec dv = hn::Mul(hn::Load(kF, bundle.dv[row] + i), per);
-                // One that rises by nothing meets nothing, unless its receiver is wide.
-                const MaskF open = hn::And(maskOf(std::uint32_t(bundle.open[row]) >> i),
-                                           hn::Gt(dw, constant(0x1p-124f)));
-                u = hn::Min(u, hn::IfThenElse(open, du, never));
-                v = hn::Min(v, hn::IfThenElse(open, dv, never));
-                minusU = hn::Min(minusU, hn::IfThenElse(open, hn::Neg(du), never));
-                minusV = hn::Min(minusV, hn::IfThenElse(open, hn::Neg(dv), never));
-            }
-            float least[4];
-            leastOf(u, minusU, v, minusV, least);
-            if (bundle.open[row] != 0) {
-                // What a slope is rounded by, many times.
-                for (float& x : least)
-                    x -= std::abs(x) * 0x1p-18f + 0x1p-80f;
-            }
-            bundle.boundRow(receiver, group, {least[0], -least[1], least[2], -least[3]});
-        }
+        for (int group = 0; group < bundle.groups; ++group)
+            bundle.boundRow(receiver, group,
+                            slopesOf(bundle, receiver, bundle.row(receiver, group)));
     }
+}
+
+/// The rays of one row go sideways somewhat less than all the light has, and of a
+/// receiver whose horizon cuts the light much less.
+void boundReceiver(int receiver, trace::RayBundle& bundle) {
+    if (bundle.open[receiver] == 0 || (bundle.wide >> receiver & 1)) return;
+    const trace::RayBundle::Slopes slopes = slopesOf(bundle, receiver, receiver);
+    bundle.slopeLowU[receiver] = slopes.lowU, bundle.slopeHighU[receiver] = slopes.highU;
+    bundle.slopeLowV[receiver] = slopes.lowV, bundle.slopeHighV[receiver] = slopes.highV;
 }
 
 /// All the rays of each receiver in turn.
@@ -715,7 +701,7 @@ void fillMany(const FillInput& in, trace::RayBundle& bundle, RayFates& fates) {
         // Of a light that is no wider than a tile of patches, and of media, there is
         // nothing to gain.
         if (in.groups == 1 && !in.media && bundle.topLevel[receiver] > 0)
-            boundRow(receiver, bundle);
+            boundReceiver(receiver, bundle);
     }
     if (in.groups > 1) boundRows(bundle);
 }

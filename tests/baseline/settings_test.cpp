@@ -197,6 +197,7 @@ TEST_CASE("bytes are whole numbers with a suffix, in place of a word where they 
     CHECK(bytesOf("1g") == 1u << 30);
     CHECK(bytesOf("2T") == std::uint64_t(2) << 40);
     CHECK(bytesOf("18446744073709551615") == UINT64_MAX);
+    CHECK_FALSE(bytesOf(std::string("32\0", 3)));
     for (const char* wrong : {"", "M", "0", "0K", "-1", "1.5G", "32MB", " 1", "1 ",
                               "auto", "16777216T", "18446744073709551616"})
         CHECK_FALSE(bytesOf(wrong));
@@ -210,6 +211,9 @@ TEST_CASE("bytes are whole numbers with a suffix, in place of a word where they 
     CHECK(wordOf(std::string("32M")) == "32M");
     CHECK(wordOf(std::string("none")) == "none");
     CHECK(wordOf(64000000.0) == "64000000");
+    SettingInfo rays = wordSetting("adaptive", {"false", "true"}, "which rays");
+    CHECK(Settings::complete({rays}, {{"adaptive", true}}, "m")->word("adaptive") ==
+          "true");
     for (const SettingValue& wrong : {SettingValue(0.0), SettingValue(1.5),
                                       SettingValue(-1.0), SettingValue(std::string("x"))})
         CHECK_THAT(wordOf(wrong),

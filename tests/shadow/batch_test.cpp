@@ -14,10 +14,12 @@
 #include <vector>
 
 #include "bumpy_mesh.h"
+#include "map_fixture.h"
 #include "mtsm/bake.h"
 #include "mtsm/scene.h"
 #include "mtsm/shadow.h"
 #include "random.h"
+#include "shadow/released.h"
 
 using namespace mtsm;
 using test::Random;
@@ -235,6 +237,48 @@ TEST_CASE("a batch is answered the same for any number of threads",
                 if (first.empty()) first = found;
                 CHECK(same(found, first));
             }
+        }
+    }
+}
+
+TEST_CASE("rays that lead along the map are followed, however many there are",
+          "[shadow][exact]") {
+    // A ramp behind the plane of a light that shines along it: receivers in that plane,
+    // whose rays hardly rise.
+    MapInfo info = test::plainInfo(256, 256, 32);
+    AreaLight& light = info.light;
+    light.shape = LightShape::rect;
+    light.position = {0, 0, -2};
+    light.direction = {0, 0, -1};
+    light.up = {0, 1, 0};
+    light.size = {1, 1};
+    info.bias = 0.01f;
+    const auto layers = [](std::uint32_t x, std::uint32_t) {
+        const double across = (x + 0.5 - 128) / 128;
+        const double z = 1 / (1 / 1.8 + (1 / 2.4 - 1 / 1.8) * (across + 0.5));
+        std::vector<test::TestLayer> ramp;
+        if (std::abs(across) < 0.5 && z >= 2.0) ramp.push_back({float(z), 0.0f, 1});
+        return ramp;
+    };
+    const ShadowMap map =
+        test::opaqueOf(test::mapOf(info, test::plainProjection(256, 256), layers));
+    for (const double beyond : {1e-6, 1e-7, 1e-9}) {
+        Points points;
+        for (int i = 0; i < 16; ++i)
+            points.add({-0.9 - 0.0001 * i, 0.01 * i, -2.0 - beyond}, glm::dvec3(0.0));
+        ShadowOptions exact = samplesOf(1024);
+        exact.method = ShadowMethod::scalar;
+        const double expected = meanOf(answers(map, light, points, exact, false));
+        for (const int samples : {16, 17, 48, 64, 256, 272}) {
+            const std::vector<float> batch =
+                answers(map, light, points, samplesOf(samples), false);
+            std::vector<float> alone;
+            for (const glm::dvec3 p : points.at)
+                alone.push_back(
+                    shadowFactor(map, light, p, glm::dvec3(0.0), samplesOf(samples)));
+            INFO(samples << " samples, " << beyond << ", expected " << expected);
+            CHECK(different(alone, batch) == 0);
+            CHECK(std::abs(meanOf(batch) - expected) < 0.06);
         }
     }
 }

@@ -62,9 +62,13 @@ const Format* formatOf(const std::string& path) {
 
 /// What it is, and where it belongs.
 std::string insteadOfMap(const std::string& path, Sort sort) {
-    const std::string file = quotedForShell(path),
-                      map = quotedForShell(std::filesystem::path(path).stem().string() +
-                                           ".mtsm");
+    // A name that begins as an option does is no option.
+    const auto argument = [](const std::string& name) {
+        return quotedForShell(name.starts_with('-') ? "./" + name : name);
+    };
+    const std::string file = argument(path),
+                      map =
+                          argument(std::filesystem::path(path).stem().string() + ".mtsm");
     switch (sort) {
         case Sort::job:
             return "a job file, not a map: bake it with mtsm-bake " + file + " -o " +
