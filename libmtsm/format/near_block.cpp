@@ -102,6 +102,11 @@ Bytes contentOf(const NearChunks& chunks, std::size_t first, std::size_t count,
 /// Undoes contentOf(). Errors: a corner names a point that is not there.
 Status decodeContent(const PartLayout<const std::uint8_t>& from, NearChunks& chunks) {
     chunks.reserve(from.chunks, from.points);
+    const std::uint8_t* bytes[2][3];
+    for (std::size_t j = 0; j < 2; ++j) {
+        for (std::size_t axis = 0; axis < 3; ++axis)
+            bytes[j][axis] = &from.atPoint(j, axis, 0);
+    }
     std::size_t at = 0;
     for (std::size_t i = 0; i < from.chunks; ++i) {
         float low[3], step[3];
@@ -113,18 +118,19 @@ Status decodeContent(const PartLayout<const std::uint8_t>& from, NearChunks& chu
         }
         std::array<Point, kCorners> point;
         std::array<std::uint8_t, kCorners> number;
+        Point p = {};
         std::size_t count = 0;
+        const std::uint8_t* const corners = from.atCorners(i);
         for (std::size_t corner = 0; corner < kCorners; ++corner) {
-            const std::size_t ago = from.atCorners(i)[corner];
+            const std::size_t ago = corners[corner];
             if (ago > count || (ago == 0 && at == from.points))
                 return bad("chunk ", i, ": corner ", corner, " is a point ", ago,
                            " before, of ", count);
             number[corner] = std::uint8_t(count - ago);
             if (ago > 0) continue;
-            Point p = count > 0 ? point[count - 1] : Point{};
             for (std::size_t axis = 0; axis < 3; ++axis) {
-                const auto r = std::uint16_t(from.atPoint(0, axis, at) |
-                                             from.atPoint(1, axis, at) << 8);
+                const auto r =
+                    std::uint16_t(bytes[0][axis][at] | bytes[1][axis][at] << 8);
                 p[axis] = std::uint16_t(p[axis] + unzigzag16(r));
             }
             point[count++] = p;

@@ -24,6 +24,13 @@ int trianglesOf(const Point* points, const std::uint8_t* numbers) {
     return int(count);
 }
 
+bool areShort(const Point* points, std::size_t count) {
+    unsigned all = 0;
+    for (std::size_t i = 0; i < count; ++i)
+        all |= unsigned(points[i][0] | points[i][1] | points[i][2]);
+    return all >> NearChunks::kShortBits == 0;
+}
+
 }  // namespace
 
 int NearChunk::triangles() const noexcept {
@@ -51,14 +58,20 @@ void NearChunks::push_back(const float (&low)[3], const float (&step)[3],
     std::copy_n(low, 3, place.low);
     std::copy_n(step, 3, place.step);
     place.triangles = std::uint64_t(trianglesOf(points, numbers));
-    place.points = map_detail::areShared(count) ? count : kCorners;
-    map_detail::writePoints(points, count, numbers, add(place));
+    place.points = map_detail::areShared(count) ? count
+                   : areShort(points, count)    ? std::size_t(kShortWords)
+                                                : kCorners;
+    std::uint16_t* const q = add(place);
+    if (place.areShort())
+        map_detail::writeShort(points, numbers, q);
+    else
+        map_detail::writePoints(points, count, numbers, q);
 }
 
 /// Where the words of a new chunk go.
 std::uint16_t* NearChunks::add(Place& place) {
     const std::size_t used = words_.empty() ? 0 : words_.size() - kSpare;
-    const std::size_t more = map_detail::wordsOf(3, place.points);
+    const std::size_t more = (place.areShared() ? kTriangles : 0) + 3 * place.points;
     words_.resize(used + more + kSpare);
     place.first = used;
     places_.push_back(place);
@@ -108,13 +121,14 @@ NearChunk NearChunks::operator[](std::size_t i) const noexcept {
     NearChunk chunk;
     std::copy_n(place.low, 3, chunk.low);
     std::copy_n(place.step, 3, chunk.step);
-    const std::uint16_t* const q = points(i);
+    std::uint16_t room[kCorners];
     for (std::size_t axis = 0; axis < 3; ++axis) {
+        const std::uint16_t* const q = map_detail::axisOf(*this, i, axis, room);
         for (std::size_t c = 0; c < 3; ++c) {
             for (std::size_t t = 0; t < kTriangles; ++t) {
                 const std::size_t n = place.areShared() ? pointOf(corners(i)[t], int(c))
                                                         : kTriangles * c + t;
-                chunk.corner[c][axis][t] = q[axis * place.points + n];
+                chunk.corner[c][axis][t] = q[n];
             }
         }
     }

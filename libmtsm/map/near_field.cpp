@@ -8,6 +8,7 @@
 #include "base/message.h"
 #include "base/parallel.h"
 #include "map/near_boxes.h"
+#include "map/near_points.h"
 
 namespace mtsm {
 namespace {
@@ -43,9 +44,10 @@ constexpr NearBoxes emptyBoxes() {
 /// Child i of `boxes` becomes the box of chunk k, no larger than its triangles.
 void setBox(NearBoxes& boxes, std::size_t i, const NearChunks& chunks, std::size_t k) {
     const NearChunks::Place& place = chunks.place(k);
-    const std::size_t count = place.points;
-    const std::uint16_t* q = chunks.points(k);
-    for (int axis = 0; axis < 3; ++axis, q += count) {
+    const std::size_t count = place.areShort() ? map_detail::kCorners : place.points;
+    std::uint16_t room[map_detail::kCorners];
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+        const std::uint16_t* const q = map_detail::axisOf(chunks, k, axis, room);
         std::uint16_t least = 0xffff, most = 0;
         for (std::size_t point = 0; point < count; ++point) {
             least = std::min(least, q[point]);

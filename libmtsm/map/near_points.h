@@ -39,7 +39,8 @@ struct NearPoints {
 };
 
 /// Points that are shared are kept as the numbers of each triangle's three and then
-/// [axis][point]; others as [axis][corner][triangle].
+/// [axis][point]; others as [axis][corner][triangle], NearChunks' short ones in fewer
+/// bits.
 constexpr bool areShared(std::size_t points) {
     return points <= std::size_t(NearChunks::kMostShared);
 }
@@ -73,6 +74,43 @@ void writePoints(const std::array<std::uint16_t, kAxes>* points, std::size_t cou
         for (std::size_t i = 0; i < count; ++i)
             *q++ = points[i][axis];
     }
+}
+
+/// Points that are not shared and whose numbers are short, in 9 rows of 12 words: four
+/// numbers in three words, lower bits first.
+inline void writeShort(const NearChunks::Point* points, const std::uint8_t* numbers,
+                       std::uint16_t* q) {
+    for (std::size_t row = 0; row < 9; ++row) {
+        const auto at = [&](std::size_t t) {
+            return unsigned(points[numbers[3 * t + row % 3]][row / 3]);
+        };
+        for (std::size_t t = 0; t < kTriangles; t += 4, q += 3) {
+            const unsigned a = at(t), b = at(t + 1), c = at(t + 2), d = at(t + 3);
+            q[0] = std::uint16_t(a | b << 12);
+            q[1] = std::uint16_t(b >> 4 | c << 8);
+            q[2] = std::uint16_t(c >> 8 | d << 4);
+        }
+    }
+}
+/// The three rows of an axis.
+inline void readShort(const std::uint16_t* q, std::uint16_t* numbers) {
+    for (auto* n = numbers; n < numbers + kCorners; n += 4, q += 3) {
+        const unsigned a = q[0], b = q[1], c = q[2];
+        n[0] = std::uint16_t(a & 0xfff);
+        n[1] = std::uint16_t(a >> 12 | (b & 0xff) << 4);
+        n[2] = std::uint16_t(b >> 8 | (c & 0xf) << 8);
+        n[3] = std::uint16_t(c >> 4);
+    }
+}
+
+/// Points of an axis, in steps; in `room` where they are short.
+inline const std::uint16_t* axisOf(const NearChunks& chunks, std::size_t i,
+                                   std::size_t axis, std::uint16_t (&room)[kCorners]) {
+    const NearChunks::Place& place = chunks.place(i);
+    const std::uint16_t* const q = chunks.points(i) + axis * place.points;
+    if (!place.areShort()) return q;
+    readShort(q, room);
+    return room;
 }
 
 }  // namespace mtsm::map_detail

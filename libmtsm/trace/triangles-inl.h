@@ -32,12 +32,14 @@ struct Triangles {
         const Floats d;
         const NearChunks::Place& place = chunks.place(i);
         const std::uint16_t* const q = chunks.points(i);
-        if (!place.areShared())
-            unpack(place, q);
-        else if (place.points <= std::uint64_t(kLanes))
+        if (place.points <= std::uint64_t(kLanes))
             unpack<kLanes>(place, q, chunks.corners(i));
-        else
+        else if (place.areShared())
             unpack<NearChunks::kMostShared>(place, q, chunks.corners(i));
+        else if (place.areShort())
+            unpackCorners<true>(place, q);
+        else
+            unpackCorners<false>(place, q);
         for (int axis = 0; axis < 3; ++axis) {
             for (std::size_t t = 0; t < kTriangles; t += hn::Lanes(d)) {
                 const Vec a = hn::Load(d, corner[0][axis] + t);
@@ -62,25 +64,60 @@ struct Triangles {
     }
 
   private:
+    using Stored = hn::Rebind<std::uint16_t, Floats>;
+
+    static Vec coordinates(const NearChunks::Place& place, int axis,
+                           hn::Vec<Stored> steps) {
+        const Floats d;
+        const Vec s = hn::ConvertTo(d, hn::PromoteTo(Ints(), steps));
+        return hn::Add(hn::Set(d, place.low[axis]),
+                       hn::Mul(hn::Set(d, place.step[axis]), s));
+    }
     /// As many coordinates as there are lanes.
     static Vec coordinates(const NearChunks::Place& place, int axis,
                            const std::uint16_t* q) {
-        const Floats d;
-        const hn::Rebind<std::int32_t, Floats> whole;
-        const hn::Rebind<std::uint16_t, Floats> stored;
-        const Vec steps = hn::ConvertTo(d, hn::PromoteTo(whole, hn::LoadU(stored, q)));
-        return hn::Add(hn::Set(d, place.low[axis]),
-                       hn::Mul(hn::Set(d, place.step[axis]), steps));
+        return coordinates(place, axis, hn::LoadU(Stored(), q));
     }
 
-    /// Of triangles that share no corners.
-    void unpack(const NearChunks::Place& place, const std::uint16_t* q) {
-        const Floats d;
+    /// As many of a row's numbers of 12 bits as there are lanes, from number t on.
+    static hn::Vec<Stored> shortNumbers(const std::uint16_t* row, int t) {
+        static_assert(NearChunks::kShortBits == 12);
+        const Stored d;
+        const std::uint16_t* const q = row + 12 * t / 16;
+#if HWY_TARGET == HWY_SCALAR
+        const std::uint32_t words = q[0] | std::uint32_t(q[1]) << 16;
+        return hn::Set(d, std::uint16_t(words >> (12 * t % 16) & 0xfff));
+#else
+        // Of each block of eight: the two bytes that hold each, and what moves it to the
+        // upper bits of its lane.
+        alignas(16) static constexpr std::uint8_t kBytes[16] = {
+            0, 1, 1, 2, 3, 4, 4, 5, 6, 7, 7, 8, 9, 10, 10, 11};
+        alignas(16) static constexpr std::uint16_t kUp[8] = {16, 1, 16, 1, 16, 1, 16, 1};
+        const hn::Repartition<std::uint8_t, Stored> bytes;
+        hn::Vec<Stored> words = hn::LoadU(d, q);
+        if constexpr (hn::MaxLanes(Stored()) == 16) {
+            const hn::Half<Stored> half;
+            words = hn::Combine(d, hn::LoadU(half, q + 6), hn::LoadU(half, q));
+        }
+        const auto pairs = hn::TableLookupBytes(hn::BitCast(bytes, words),
+                                                hn::LoadDup128(bytes, kBytes));
+        return hn::ShiftRight<4>(hn::Mul(hn::BitCast(d, pairs), hn::LoadDup128(d, kUp)));
+#endif
+    }
+
+    /// Of triangles that share no corners: rows of 16 numbers.
+    template <bool kShort>
+    void unpackCorners(const NearChunks::Place& place, const std::uint16_t* q) {
+        constexpr int kRow = kTriangles * (kShort ? NearChunks::kShortBits : 16) / 16;
+        constexpr int kWide = int(hn::MaxLanes(Floats()));
         for (int axis = 0; axis < 3; ++axis) {
             for (auto& c : corner) {
-                for (int t = 0; t < kTriangles; t += int(hn::Lanes(d)))
-                    hn::Store(coordinates(place, axis, q + t), d, c[axis] + t);
-                q += kTriangles;
+                for (int t = 0; t < kTriangles; t += kWide) {
+                    const Vec at = kShort ? coordinates(place, axis, shortNumbers(q, t))
+                                          : coordinates(place, axis, q + t);
+                    hn::Store(at, Floats(), c[axis] + t);
+                }
+                q += kRow;
             }
         }
     }

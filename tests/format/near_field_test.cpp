@@ -20,7 +20,8 @@ using namespace mtsm::format;
 
 namespace {
 
-/// `shared`: corners are taken from a few points, as in a mesh.
+/// `shared`: corners are taken from a few points, as in a mesh; else every other chunk's
+/// numbers have 12 bits.
 NearField noisyField(std::size_t chunks, bool shared, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     NearField field;
@@ -40,7 +41,8 @@ NearField noisyField(std::size_t chunks, bool shared, std::uint64_t seed) {
                 const std::size_t from = random() % 9;
                 for (int axis = 0; axis < 3; ++axis)
                     chunk.corner[c][axis][t] =
-                        shared ? point[from][axis] : std::uint16_t(random());
+                        shared ? point[from][axis]
+                               : std::uint16_t(random() % (i % 2 ? 0x10000 : 0x1000));
             }
         }
         field.chunks.push_back(chunk);
@@ -127,6 +129,39 @@ TEST_CASE("what a near field of few points needs to be read is about twice what 
     checkRefused(file, ErrorCode::tooLarge, "ReadLimits::maxBytes", limits);
 }
 
+TEST_CASE("reading counts numbers of 12 bits as those of 16, for a file does not say",
+          "[format]") {
+    const auto mapOf = [](int bits) {
+        std::mt19937_64 random(4);
+        NearField field;
+        for (int i = 0; i < 2000; ++i) {
+            NearChunk chunk;
+            for (auto& corner : chunk.corner) {
+                for (auto& axis : corner) {
+                    for (auto& q : axis)
+                        q = std::uint16_t(random() % (1u << bits));
+                }
+            }
+            field.chunks.push_back(chunk);
+        }
+        return mapWith({field});
+    };
+    const ShadowMap brief = mapOf(12), full = mapOf(16);
+    const std::uint64_t bytes = memoryBytes(full.nearField(0));
+    CHECK(memoryBytes(brief.nearField(0)) == bytes - 2000 * 72);
+    ReadLimits limits;
+    // Besides, what each of two parts is when it is unpacked, and the file's own bytes.
+    limits.maxBytes = full.memoryBytes() + bytes + 800000 + encoded(full).size();
+    for (const ShadowMap* map : {&full, &brief}) {
+        const auto back = readBytes(encoded(*map), limits);
+        INFO((back ? "" : back.error().message));
+        CHECK(back);
+    }
+    limits.maxBytes =
+        brief.memoryBytes() + memoryBytes(brief.nearField(0)) + encoded(brief).size();
+    checkRefused(encoded(brief), ErrorCode::tooLarge, "ReadLimits::maxBytes", limits);
+}
+
 TEST_CASE("a reader that wants no near field passes it over, even where it is damaged",
           "[format][roundtrip]") {
     const ShadowMap map = mapWith({noisyField(40, true, 7)});
@@ -195,8 +230,9 @@ TEST_CASE("describe counts the triangles of a near field", "[format]") {
     REQUIRE(d);
     CHECK(d->nearChunks == 20);
     CHECK(d->nearTriangles == 19 * 16 + 5);
-    // 19 chunks of 48 points and one of 15; two nodes, and one above them.
-    CHECK(d->nearBytes == 20 * 32 + 19 * 288 + 2 * (16 + 45) + 64 + 3 * 384);
+    // 10 chunks of 48 points in 12 bits, 9 in 16 and one of 15 points; two nodes, and one
+    // above them.
+    CHECK(d->nearBytes == 20 * 32 + 10 * 216 + 9 * 288 + 2 * (16 + 45) + 64 + 3 * 384);
 }
 
 TEST_CASE("a NEAR block that lies is refused and the message says where",

@@ -19,8 +19,10 @@ bool same(const NearChunk& a, const NearChunk& b) {
 }
 
 /// Corners that are the first `points` of different ones, all of them there if there are
-/// corners enough; of the first `triangles` triangles, the last one repeated.
-NearChunk chunkOf(int points, int triangles, std::mt19937_64& random) {
+/// corners enough; of the first `triangles` triangles, the last one repeated. Numbers up
+/// to `most`.
+NearChunk chunkOf(int points, int triangles, std::mt19937_64& random,
+                  unsigned most = 0xffff) {
     NearChunk chunk;
     for (int axis = 0; axis < 3; ++axis) {
         chunk.low[axis] = float(random() % 1000) - 500.0f;
@@ -28,8 +30,9 @@ NearChunk chunkOf(int points, int triangles, std::mt19937_64& random) {
     }
     std::vector<NearChunks::Point> all;
     while (int(all.size()) < points) {
-        const NearChunks::Point p = {std::uint16_t(random()), std::uint16_t(random()),
-                                     std::uint16_t(random() % 3)};
+        const NearChunks::Point p = {std::uint16_t(random() % (most + 1)),
+                                     std::uint16_t(random() % (most + 1)),
+                                     std::uint16_t(random() % 3 * most / 2)};
         if (std::find(all.begin(), all.end(), p) == all.end()) all.push_back(p);
     }
     for (int t = 0; t < NearChunk::kTriangles; ++t) {
@@ -51,8 +54,10 @@ TEST_CASE("a chunk comes out as it went in, however many points it has",
     std::vector<NearChunk> expected;
     for (int points = 1; points <= 48; ++points) {
         for (const int triangles : {1, 2, 7, 15, 16}) {
-            expected.push_back(chunkOf(points, triangles, random));
-            chunks.push_back(expected.back());
+            for (const unsigned most : {0xffu, 0xfffu, 0x1fffu, 0xffffu}) {
+                expected.push_back(chunkOf(points, triangles, random, most));
+                chunks.push_back(expected.back());
+            }
         }
     }
     REQUIRE(chunks.size() == expected.size());
@@ -82,13 +87,59 @@ TEST_CASE("points that triangles share take memory once", "[map]") {
     CHECK(NearChunks().memoryBytes() == 0);
 }
 
+TEST_CASE("points that are not shared take less where 12 bits are enough", "[map]") {
+    std::mt19937_64 random(17);
+    // Every other number is the last one with 12 bits; then one has 13.
+    const NearChunk before = chunkOf(48, 16, random, 0xffe);
+    for (std::size_t which = 0; which < 144; ++which) {
+        INFO("number " << which);
+        NearChunk chunk = before;
+        std::uint16_t* const q = &chunk.corner[0][0][0];
+        for (std::size_t i = which % 2; i < 144; i += 2)
+            q[i] = 0xfff;
+        // Whatever that has made the same.
+        for (int t = 0; t < NearChunk::kTriangles; ++t) {
+            for (int c = 0; c < 3; ++c)
+                chunk.corner[c][t % 2][t] = std::uint16_t(3 * t + c);
+        }
+        NearChunks chunks;
+        chunks.push_back(chunk);
+        CHECK(chunks.place(0).areShort());
+        CHECK_FALSE(chunks.place(0).areShared());
+        CHECK(chunks.memoryBytes() == 32 + 216 + 64);
+        q[which] = 0x1000;
+        chunks.push_back(chunk);
+        CHECK_FALSE(chunks.place(1).areShort());
+        CHECK_FALSE(chunks.place(1).areShared());
+        CHECK(chunks.memoryBytes() == 32 + 216 + 32 + 288 + 64);
+        CHECK(same(chunks[1], chunk));
+        for (const unsigned low : {0u, 0xffeu}) {
+            q[which] = std::uint16_t(low);
+            chunks.push_back(chunk);
+            CHECK(chunks.place(chunks.size() - 1).areShort());
+            CHECK(same(chunks[chunks.size() - 1], chunk));
+        }
+        q[which] = 0xfff;
+        chunks.push_back(chunk);
+        CHECK(same(chunks[4], chunk));
+    }
+    // Few points are shared however small their numbers are.
+    NearChunks few;
+    few.push_back(chunkOf(32, 16, random, 0xfff));
+    few.push_back(chunkOf(33, 16, random, 0xfff));
+    CHECK(few.place(0).areShared());
+    CHECK_FALSE(few.place(0).areShort());
+    CHECK(few.place(1).areShort());
+}
+
 TEST_CASE("chunks of several parts come one behind the other", "[map]") {
     std::mt19937_64 random(9);
     std::vector<NearChunks> parts(5);
     std::vector<NearChunk> expected;
     for (std::size_t i = 0; i < parts.size(); ++i) {
         for (std::size_t k = 0; k < (i == 3 ? 0 : 4 * i + 1); ++k) {
-            expected.push_back(chunkOf(int(1 + random() % 48), 16, random));
+            expected.push_back(
+                chunkOf(int(1 + random() % 48), 16, random, k % 2 ? 0xffff : 0xfff));
             parts[i].push_back(expected.back());
         }
     }
@@ -112,6 +163,10 @@ TEST_CASE("words behind the last point may be read", "[map]") {
     chunks.push_back(chunkOf(1, 1, random));
     const std::uint16_t* const lastAxis = chunks.points(0) + 2;
     CHECK(std::count(lastAxis + 1, lastAxis + NearChunks::kMostShared, 0) == 31);
+    NearChunks brief;
+    brief.push_back(chunkOf(48, 16, random, 0xfff));
+    const std::uint16_t* const end = brief.points(0) + 3 * NearChunks::kShortWords;
+    CHECK(std::count(end, end + NearChunks::kMostShared, 0) == NearChunks::kMostShared);
 }
 
 TEST_CASE("texture coordinates come out as they went in, and take memory once",

@@ -406,6 +406,64 @@ TEST_CASE("a ray's answer depends on that ray alone, on every processor",
     CHECK(wide < int(bundles.size()));
 }
 
+TEST_CASE("numbers of 12 bits are the triangles that those of 16 are", "[trace][twin]") {
+    Random random(5);
+    // On a grid and on one that is 16 times as fine: no corner is rounded.
+    std::vector<MapFace> brief(1), full(1);
+    for (MapFace* face : {&brief[0], &full[0]}) {
+        face->projection = test::plainProjection(8, 8);
+        face->tiles.resize(1);
+    }
+    for (int i = 0; i < 100; ++i) {
+        NearChunk a;
+        for (int axis = 0; axis < 3; ++axis) {
+            a.low[axis] = axis < 2 ? float(random.below(48)) : 0x1p-7f;
+            a.step[axis] = axis < 2 ? 0x1p-8f : 0x1p-20f;
+            for (int t = 0; t < NearChunk::kTriangles; ++t) {
+                const std::size_t at = random.below(0xfff - 500);
+                for (auto& corner : a.corner)
+                    corner[axis][t] = std::uint16_t(at + random.below(501));
+            }
+        }
+        NearChunk b = a;
+        for (int axis = 0; axis < 3; ++axis) {
+            b.step[axis] = a.step[axis] / 16;
+            for (auto& corner : b.corner) {
+                for (std::uint16_t& q : corner[axis])
+                    q = std::uint16_t(16 * q);
+            }
+        }
+        brief[0].nearField.chunks.push_back(a);
+        full[0].nearField.chunks.push_back(b);
+        REQUIRE(brief[0].nearField.chunks.place(std::size_t(i)).areShort());
+        REQUIRE(full[0].nearField.chunks.place(std::size_t(i)).points == 48);
+    }
+    const auto a = ShadowMap::create(test::plainInfo(8, 8, 8), std::move(brief));
+    const auto b = ShadowMap::create(test::plainInfo(8, 8, 8), std::move(full));
+    REQUIRE(a);
+    REQUIRE(b);
+    int blocked = 0, left = 0;
+    for (int i = 0; i < 100; ++i) {
+        const auto rays = raysAround(random, 1 + int(random.below(16)), 1,
+                                     {random.in(0, 64), random.in(0, 64), 0.0075},
+                                     std::exp2(random.in(-6, 4)),
+                                     {random.in(-4, 4), random.in(-4, 4), 0.008});
+        onEachTarget([&](const char* name) {
+            INFO(name);
+            test::Rays one = *rays, other = *rays;
+            traceNear(*a, one);
+            traceNear(*b, other);
+            for (int row = 0; row < rays->rows(); ++row) {
+                CHECK(one.bundle.open[row] == other.bundle.open[row]);
+                left += std::popcount(one.bundle.open[row]);
+                blocked += kLanes - std::popcount(one.bundle.open[row]);
+            }
+        });
+    }
+    CHECK(blocked > 1000);
+    CHECK(left > 1000);
+}
+
 TEST_CASE("triangles count behind begin and up to end, for open rays", "[trace][exact]") {
     // Crossed at s = 0.5 exactly; edge-on to the eye, which looks along w.
     const ShadowMap map = mapOfTriangles(

@@ -9,7 +9,8 @@
 // Most corners of a chunk are corners of several of its triangles, and of 48 corners of a
 // mesh about 15 differ: each of these is kept once, and with every triangle which three
 // of them are its own. A chunk with more than 32 different ones, triangles that have
-// little to do with each other, is kept as it is.
+// little to do with each other, is kept as it is, in three quarters of that where 12 bits
+// are enough for each number.
 #pragma once
 #include <array>
 #include <cstddef>
@@ -53,15 +54,20 @@ class NearChunks {
     static constexpr int kMostShared = 32;  ///< points of a chunk that are kept once
     static constexpr int kBits = 5;         ///< of the number of one
     static constexpr int kCorners = 3 * NearChunk::kTriangles;
+    static constexpr int kShortBits = 12;  ///< of a number of what is kept so
+    static constexpr int kShortWords = kCorners * kShortBits / 16;  ///< of an axis
 
     /// Of one chunk, all but its points.
     struct Place {
         float low[3], step[3];        ///< as NearChunk's
         std::uint64_t first : 53;     ///< of its words
         std::uint64_t triangles : 5;  ///< as NearChunk::triangles()
-        std::uint64_t points : 6;     ///< 1..kMostShared; or kCorners: every corner
+        /// Words of an axis. 1..kMostShared points; or every corner: kCorners, or
+        /// kShortWords if they are short.
+        std::uint64_t points : 6;
 
-        [[nodiscard]] bool areShared() const noexcept { return points != kCorners; }
+        [[nodiscard]] bool areShared() const noexcept { return points <= kMostShared; }
+        [[nodiscard]] bool areShort() const noexcept { return points == kShortWords; }
     };
     static_assert(sizeof(Place) == 32);
 
@@ -90,7 +96,7 @@ class NearChunks {
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept {
         return places_.size() * sizeof(Place) + words_.size() * sizeof(std::uint16_t);
     }
-    /// Of so many chunks with so many different points each.
+    /// Of so many chunks with so many different points each, none of them short.
     [[nodiscard]] static std::uint64_t memoryBytes(std::uint64_t chunks,
                                                    int points) noexcept;
 
@@ -105,8 +111,9 @@ class NearChunks {
         return corners >> (kBits * corner) & (kMostShared - 1);
     }
     /// [u, v, w][point], in steps. Where they are not shared, a point is
-    /// [corner][triangle]. Up to kMostShared words from any of its axes on may be read,
-    /// whether they are points or not.
+    /// [corner][triangle]; where they are short, an axis is one row of kShortBits each,
+    /// lower bits and words first. Up to kMostShared words from any of its axes on may be
+    /// read, whether they are points or not.
     [[nodiscard]] const std::uint16_t* points(std::size_t i) const noexcept {
         return corners(i) + (places_[i].areShared() ? NearChunk::kTriangles : 0);
     }
