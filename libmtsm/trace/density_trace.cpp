@@ -105,11 +105,10 @@ class Kernel {
     /// Traces the rays that were taken.
     void trace(RayBundle& bundle, RayDepths& depths) {
         setUp();
-        const std::size_t levels =
-            std::max(tree_.media().levels.size(), tree_.sheets().levels.size());
-        for (std::size_t level = tree_.finest(); level < levels && march_.open; ++level) {
-            const bool last = level + 1 == levels;
-            walk(int(level), last);
+        const std::uint32_t coarsest = tree_.coarsest();
+        for (std::uint32_t level = tree_.finest(); level <= coarsest && march_.open;
+             ++level) {
+            walk(int(level), level == coarsest);
             settle(depths);
         }
         // What reached the dark in this face or before is closed.

@@ -778,10 +778,12 @@ Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
     tree.ofSheets_ = map.info().translucent == Translucent::sheets;
     tree.width_ = map.info().width;
     tree.height_ = map.info().height;
-    const auto coarsest =
-        std::uint32_t(std::bit_width(std::max(tree.width_, tree.height_) - 1));
+    const std::uint32_t side = std::max(tree.width_, tree.height_);
     DensityOptions present = options;
-    present.finest = tree.finest_ = std::min(options.finest, coarsest);
+    present.finest = tree.finest_ =
+        std::min(options.finest, std::uint32_t(std::bit_width(side - 1)));
+    tree.coarsest_ = std::max(
+        tree.finest_, std::uint32_t(std::bit_width((side - 1) / options.leastAcross)));
     const bool indexable = std::uint64_t(tree.width_) * tree.height_ <= kMostTexels;
     const auto make = tree.channels_ == 3 ? makePyramid<3> : makePyramid<1>;
     if (!indexable || !make(map, face, Kind::sheets, {}, present, tree.sheets_) ||

@@ -50,6 +50,11 @@ struct DensityOptions {
     /// memory of 0 for fur, for rays whose way near the receiver is answered from
     /// elsewhere.
     std::uint32_t finest = 0;
+    /// Texels of which fewer go across the map answer no ray, unless they are the finest,
+    /// however far apart rays are: what lies behind one another in a texel counts as
+    /// independent, and in one that holds a good part of a crown that is far too dark. At
+    /// least 1.
+    std::uint32_t leastAcross = 64;
 };
 
 /// What is dark: rays that have met this much have no light left. Finite, so that parts
@@ -132,6 +137,8 @@ class DensityTree {
     [[nodiscard]] std::uint32_t width() const noexcept { return width_; }  ///< pixels
     [[nodiscard]] std::uint32_t height() const noexcept { return height_; }
     [[nodiscard]] std::uint32_t finest() const noexcept { return finest_; }
+    /// No ray is answered by coarser texels.
+    [[nodiscard]] std::uint32_t coarsest() const noexcept { return coarsest_; }
     [[nodiscard]] bool isOfSheets() const noexcept { return ofSheets_; }
     [[nodiscard]] const DensityPyramid& media() const noexcept { return media_; }
     [[nodiscard]] const DensityPyramid& sheets() const noexcept { return sheets_; }
@@ -141,7 +148,7 @@ class DensityTree {
     DensityTree() = default;
 
     Projection projection_;
-    std::uint32_t channels_ = 1, width_ = 0, height_ = 0, finest_ = 0;
+    std::uint32_t channels_ = 1, width_ = 0, height_ = 0, finest_ = 0, coarsest_ = 0;
     bool ofSheets_ = false;
     DensityPyramid media_, sheets_;
 };

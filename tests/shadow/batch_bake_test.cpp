@@ -1,12 +1,15 @@
 // Batches of bakes whose rays go through near fields of several kinds.
 #include <catch2/catch.hpp>
+#include <cmath>
 #include <cstring>
+#include <glm/geometric.hpp>
 #include <optional>
 #include <vector>
 
 #include "mtsm/bake.h"
 #include "mtsm/scene.h"
 #include "mtsm/shadow.h"
+#include "random.h"
 
 using namespace mtsm;
 
@@ -95,5 +98,64 @@ TEST_CASE("cards that are cut out are answered the same alone and in a batch",
         CHECK(different == 0);
         CHECK(mean > 0.02);
         CHECK(mean < 0.2);
+    }
+}
+
+TEST_CASE("a crown that a large light stands right beside is no darker with few samples",
+          "[shadow][statistical]") {
+    // Two thousand small panes that let half of the light through, in clumps.
+    test::Random random(11);
+    std::vector<glm::vec3> positions;
+    std::vector<std::uint32_t> indices;
+    for (int clump = 0; clump < 12; ++clump) {
+        const glm::dvec3 middle(random.in(-1, 1), random.in(1, 3), random.in(-1, 1));
+        for (int i = 0; i < 170; ++i) {
+            const glm::dvec3 at = middle + 0.35 * random.in(0, 1) * random.direction();
+            for (int corner = 0; corner < 3; ++corner) {
+                indices.push_back(std::uint32_t(positions.size()));
+                positions.push_back(glm::vec3(at + 0.12 * random.direction()));
+            }
+        }
+    }
+    MeshView panes;
+    panes.positions = positions.data();
+    panes.vertexCount = positions.size();
+    panes.indices = indices.data();
+    panes.triangleCount = indices.size() / 3;
+    panes.opacity = 0.5f;
+    CasterViews casters({panes});
+    BakeOptions options;
+    options.light.shape = LightShape::disk;
+    options.light.radius = 1.5;
+    options.light.position = {2.6, 3, 0};
+    options.light.direction =
+        glm::normalize(glm::dvec3(0, 2, 0) - options.light.position);
+    options.width = options.height = 512;
+    std::vector<glm::dvec3> points, normals(900, {0, 1, 0});
+    for (int i = 0; i < 900; ++i)
+        points.emplace_back(-3.0 + 0.1 * (i % 30), 0, -1.5 + 0.1 * double(i / 30));
+    for (const auto nearField : {std::uint64_t(0), kAutomaticNearField}) {
+        options.nearField = nearField;
+        const auto baked = bake(casters, options);
+        REQUIRE(baked);
+        const auto meanOf = [&](int samples, ShadowMethod method) {
+            ShadowOptions query;
+            query.samples = samples;
+            query.method = method;
+            std::vector<float> found(points.size());
+            shadowFactors(baked->map, options.light, points.data(), normals.data(),
+                          points.size(), found.data(), query);
+            double mean = 0.0;
+            for (const float f : found)
+                mean += f / double(found.size());
+            return mean;
+        };
+        const double expected = meanOf(256, ShadowMethod::scalar);
+        for (const int samples : {4, 16, 64}) {
+            const double found = meanOf(samples, ShadowMethod::trace);
+            INFO(samples << " samples, near field " << nearField << ": " << found
+                         << " for " << expected);
+            CHECK(std::abs(found - expected) < 0.015);
+        }
     }
 }

@@ -39,7 +39,9 @@ Projection parallel(std::uint32_t width) {
     return p;
 }
 
-DensityTree treeOf(const ShadowMap& map, const DensityOptions& options = {}) {
+/// One whose rays are answered by texels as coarse as they allow.
+DensityTree treeOf(const ShadowMap& map, DensityOptions options = {}) {
+    options.leastAcross = 1;
     auto tree = DensityTree::build(map, 0, options);
     REQUIRE(tree);
     return *std::move(tree);
