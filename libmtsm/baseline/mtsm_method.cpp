@@ -4,6 +4,7 @@
 #include "base/message.h"
 #include "baseline/depth_map.h"
 #include "baseline/methods.h"
+#include "mtsm/describe.h"
 #include "mtsm/quality.h"
 #include "mtsm/shadow.h"
 
@@ -99,7 +100,7 @@ class MtsmMethod final : public Method {
 
 std::uint64_t nearFieldOf(const Settings& settings) {
     const std::string& text = settings.word("near-field");
-    return text == "auto" ? kAutomaticNearField : bytesOf(text).value_or(0);
+    return text == "auto" ? kAutomaticNearField : parseBytes(text).value_or(0);
 }
 
 /// Puts what target-error chooses in place of what was not given, as mtsm-bake does.

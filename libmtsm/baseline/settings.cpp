@@ -2,13 +2,12 @@
 
 #include <algorithm>
 #include <cassert>
-#include <cctype>
 #include <charconv>
 #include <cmath>
-#include <string_view>
 
 #include "base/message.h"
 #include "base/printable.h"
+#include "mtsm/describe.h"
 
 namespace mtsm::baseline {
 namespace {
@@ -37,7 +36,7 @@ bool fits(const SettingInfo& info, const SettingValue& value) {
     if (const auto* word = std::get_if<std::string>(&value))
         return std::find(info.words.begin(), info.words.end(), *word) !=
                    info.words.end() ||
-               (info.bytes && bytesOf(*word));
+               (info.bytes && parseBytes(*word));
     return true;
 }
 
@@ -111,21 +110,6 @@ std::string nearestName(const std::string& wrong, const std::vector<std::string>
     for (const std::string& name : names)
         if (name.rfind(wrong, 0) == 0) return name;
     return nearest;
-}
-
-std::optional<std::uint64_t> bytesOf(const std::string& text) {
-    constexpr std::string_view kSuffixes = "KMGT";
-    std::uint64_t count = 0;
-    const char* const end = text.data() + text.size();
-    const auto [at, problem] = std::from_chars(text.data(), end, count);
-    if (problem != std::errc() || count == 0) return std::nullopt;
-    if (at == end) return count;
-    const auto suffix =
-        kSuffixes.find(char(std::toupper(static_cast<unsigned char>(*at))));
-    if (suffix == std::string_view::npos || at + 1 != end) return std::nullopt;
-    const auto shift = 10 * (suffix + 1);
-    if (count > UINT64_MAX >> shift) return std::nullopt;
-    return count << shift;
 }
 
 Result<Settings> Settings::complete(const std::vector<SettingInfo>& infos,

@@ -5,7 +5,6 @@
 //     settings->whole("samples");                             // 64
 #pragma once
 #include <cstdint>
-#include <optional>
 #include <string>
 #include <utility>
 #include <variant>
@@ -38,11 +37,8 @@ struct SettingInfo {
     /// "mode=adaptive": it counts only where another setting has this value; elsewhere it
     /// stays at its fallback. Empty: always.
     std::string with{};
-    bool bytes = false;  ///< besides its words it may be a number of bytes: 32M
+    bool bytes = false;  ///< besides its words what parseBytes() takes: 32M
 };
-
-/// Bytes with an optional suffix K, M, G or T (powers of 1024), at least 1; else nothing.
-[[nodiscard]] std::optional<std::uint64_t> bytesOf(const std::string& text);
 
 [[nodiscard]] SettingInfo wholeSetting(std::string name, double fallback, double least,
                                        double most, std::string help,

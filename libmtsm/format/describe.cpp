@@ -1,7 +1,10 @@
 #include "mtsm/describe.h"
 
 #include <algorithm>
+#include <cctype>
+#include <charconv>
 #include <numeric>
+#include <string_view>
 
 #include "base/printable.h"
 #include "format/guard.h"
@@ -146,6 +149,26 @@ Result<Description> describe(const std::string& path, const ReadLimits& limits) 
 
 std::string printable(const std::string& text) {
     return base::printable(text);
+}
+
+std::optional<std::uint64_t> parseBytes(const std::string& text) {
+    constexpr std::string_view kSuffixes = "KMGT";
+    std::string_view digits = text;
+    std::size_t shift = 0;
+    if (!digits.empty()) {
+        const auto last = char(std::toupper(static_cast<unsigned char>(digits.back())));
+        if (const auto at = kSuffixes.find(last); at != std::string_view::npos) {
+            shift = 10 * (at + 1);
+            digits.remove_suffix(1);
+        }
+    }
+    if (digits.starts_with('+')) digits.remove_prefix(1);
+    const char* const end = digits.data() + digits.size();
+    std::uint64_t count = 0;
+    const auto [at, problem] = std::from_chars(digits.data(), end, count);
+    if (problem != std::errc() || at != end || count == 0 || count > UINT64_MAX >> shift)
+        return std::nullopt;
+    return count << shift;
 }
 
 }  // namespace mtsm

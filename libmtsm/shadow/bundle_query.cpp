@@ -644,9 +644,10 @@ static float highestOf(const NearSheets& sheets) {
 
 /// Does nothing lie between those that have all of the light above them and it?
 bool BundleQuery::isFree(const Face& face, const Outlook& starts) const noexcept {
-    const float among = neighbours(steps_.end[0], std::uint32_t(options_.pointsPerPixel),
-                                   map_.info().translucent, opaque_);
-    std::optional<trace::RayHull> hull = face.outline.hull(starts, std::uint32_t(among));
+    const float among =
+        neighbours(steps_.end[0], std::uint32_t(options_.pointsPerPixel), !opaque_,
+                   map_.info().translucent == Translucent::sheets);
+    std::optional<trace::RayHull> hull = face.outline.hull(starts, among);
     if (!hull) return false;
     if (face.near) {
         const bool perspective = face.projection.kind == ProjectionKind::perspective;

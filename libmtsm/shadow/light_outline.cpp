@@ -237,7 +237,7 @@ Outlook LightOutline::outlook(const Receiver* receivers, int count) const noexce
 }
 
 std::optional<trace::RayHull> LightOutline::hull(const Outlook& starts,
-                                                 std::uint32_t samples) const noexcept {
+                                                 float among) const noexcept {
     if (!known_) return std::nullopt;
     const Outline& o = outline_;
     Interval at[3], slope[2];
@@ -279,11 +279,10 @@ std::optional<trace::RayHull> LightOutline::hull(const Outlook& starts,
     }
     // The light is smaller than the box around it.
     const float area = (slope[0].high - slope[0].low) * (slope[1].high - slope[1].low);
-    return trace::RayHull{
-        at[0].low,     at[0].high,    at[1].low,
-        at[1].high,    at[2].low,     at[2].high,
-        slope[0].low,  slope[0].high, slope[1].low,
-        slope[1].high, at[2].low,     tilt * std::sqrt(area / float(samples))};
+    return trace::RayHull{at[0].low,     at[0].high,    at[1].low,
+                          at[1].high,    at[2].low,     at[2].high,
+                          slope[0].low,  slope[0].high, slope[1].low,
+                          slope[1].high, at[2].low,     tilt * std::sqrt(area / among)};
 }
 
 }  // namespace mtsm::shadow

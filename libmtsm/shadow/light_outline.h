@@ -38,10 +38,11 @@ class LightOutline {
 
     /// Of 1 to 16 receivers, finite ones. Without normals all of the light is above.
     [[nodiscard]] Outlook outlook(const Receiver* receivers, int count) const noexcept;
-    /// All rays, so many a receiver, from starts that are above to the light; nothing if
-    /// some might not lead towards the eye. Its wFirst is the lowest start.
-    [[nodiscard]] std::optional<trace::RayHull> hull(
-        const Outlook& starts, std::uint32_t samples) const noexcept;
+    /// All rays, as close together as `among` a receiver are, from starts that are above
+    /// to the light; nothing if some might not lead towards the eye. Its wFirst is the
+    /// lowest start.
+    [[nodiscard]] std::optional<trace::RayHull> hull(const Outlook& starts,
+                                                     float among) const noexcept;
 
     /// The light in light space: a box (centre and half sides, from there) that contains
     /// it, or, endless, the directions to it.

@@ -147,7 +147,7 @@ class Starts {
     /// Of the light's square, or of the square around its disk; of a cap
     /// (light::sampleCap) of the box around it, from its summit down: no wider than its
     /// rim or the sphere.
-    Slopes slopesOf() const {
+    Slopes ofLight() const {
         const Vec never = constant(HUGE_VALF);
         Slopes slopes{never, hn::Neg(never), never, hn::Neg(never), hn::Eq(never, never)};
         const bool cap = in_.domain == light::LightView::Domain::cap;
@@ -211,7 +211,7 @@ class Starts {
     }
 
     void setSlopes() {
-        const Slopes slopes = slopesOf();
+        const Slopes slopes = ofLight();
         // Rays that lead along the map or away from the eye have no bounds.
         const MaskF bounded = slopes.towardsEye;
         const auto keep = [&](Vec value, float* to) {
@@ -846,24 +846,22 @@ void LightRays::fill(const ReceiverLanes& receivers, int first, int groups,
     while (step + 1 < setting_.steps.count &&
            std::uint32_t(first) * trace::kLanes >= setting_.steps.end[step])
         ++step;
-    const FillInput input{
-        receivers,
-        view_,
-        *points_,
-        int(setting_.samples),
-        first,
-        groups,
-        neighbours(setting_.steps.end[step], setting_.pointsPerPixel,
-                   setting_.sheets ? Translucent::sheets : Translucent::media,
-                   !setting_.media),
-        domain_,
-        endless_,
-        setting_.normals,
-        setting_.weights,
-        setting_.media,
-        setting_.sheets,
-        setting_.ways,
-        shines_};
+    const FillInput input{receivers,
+                          view_,
+                          *points_,
+                          int(setting_.samples),
+                          first,
+                          groups,
+                          neighbours(setting_.steps.end[step], setting_.pointsPerPixel,
+                                     setting_.media, setting_.sheets),
+                          domain_,
+                          endless_,
+                          setting_.normals,
+                          setting_.weights,
+                          setting_.media,
+                          setting_.sheets,
+                          setting_.ways,
+                          shines_};
     HWY_DYNAMIC_DISPATCH(fill)(input, bundle, fates);
 }
 

@@ -13,7 +13,6 @@
 #include <cstdint>
 
 #include "base/sampling.h"
-#include "mtsm/map.h"
 #include "mtsm/shadow.h"
 
 namespace mtsm::shadow {
@@ -39,12 +38,11 @@ namespace mtsm::shadow {
 /// the root of as many (media), where those of the point are few. Of opaque maps it would
 /// cost leaves more than they gain (tests/bench/NOTES.md).
 [[nodiscard]] inline float neighbours(std::uint32_t samples, std::uint32_t pointsPerPixel,
-                                      Translucent translucent, bool opaque) noexcept {
+                                      bool media, bool sheets) noexcept {
     constexpr float kFew = 64.0f;
     const auto own = float(samples), points = float(pointsPerPixel);
-    if (opaque) return own;
-    const float more = translucent == Translucent::sheets ? points : std::sqrt(points);
-    return std::max(own, std::min(own * more, kFew));
+    if (!media) return own;
+    return std::max(own, std::min(own * (sheets ? points : std::sqrt(points)), kFew));
 }
 
 /// Of a batch with pixelPoints, or without.
@@ -65,14 +63,13 @@ struct PixelPoint {
     }
 };
 
-/// Point i of a batch.
+/// What a point has of its pixel's samples.
 struct PixelShare {
     std::uint64_t key;   ///< of the pixel
     std::uint32_t part;  ///< below options.pointsPerPixel
 
-    PixelShare(const ShadowOptions& options, std::size_t i) noexcept
-        : PixelShare(options, PixelPoint(options, i),
-                     keyOf(options, PixelPoint(options, i))) {}
+    PixelShare(const ShadowOptions& options, const PixelPoint& point) noexcept
+        : PixelShare(options, point, keyOf(options, point)) {}
     /// `pixelKey`: keyOf the point's pixel.
     PixelShare(const ShadowOptions& options, const PixelPoint& point,
                std::uint64_t pixelKey) noexcept

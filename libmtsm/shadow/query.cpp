@@ -66,7 +66,7 @@ Answer Query::shadowFactor(std::size_t i, glm::dvec3 point, glm::dvec3 normal,
     const Receiver receiver = receiverAt(point, normal);
     if (options_.pointsPerPixel <= 1)
         return blocked(receiver, base::pointKey(point, options_.seed), 0, stats);
-    const PixelShare share(options_, i);
+    const PixelShare share(options_, PixelPoint(options_, i));
     const SequencePart part(share.part, steps_.end[steps_.count - 1]);
     return blocked(receiver, base::mix(share.key + part.sequence), part.first, stats);
 }

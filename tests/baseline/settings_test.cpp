@@ -1,5 +1,6 @@
 // Settings by name, and the methods that have them.
 #include "baseline/settings.h"
+#include "mtsm/describe.h"
 
 #include <catch2/catch.hpp>
 #include <cmath>
@@ -192,15 +193,15 @@ TEST_CASE("what was given is told from what has its fallback", "[baseline]") {
 
 TEST_CASE("bytes are whole numbers with a suffix, in place of a word where they may be",
           "[baseline]") {
-    CHECK(bytesOf("1000000") == 1000000u);
-    CHECK(bytesOf("32M") == 32u << 20);
-    CHECK(bytesOf("1g") == 1u << 30);
-    CHECK(bytesOf("2T") == std::uint64_t(2) << 40);
-    CHECK(bytesOf("18446744073709551615") == UINT64_MAX);
-    CHECK_FALSE(bytesOf(std::string("32\0", 3)));
+    CHECK(parseBytes("1000000") == 1000000u);
+    CHECK(parseBytes("32M") == 32u << 20);
+    CHECK(parseBytes("1g") == 1u << 30);
+    CHECK(parseBytes("2T") == std::uint64_t(2) << 40);
+    CHECK(parseBytes("18446744073709551615") == UINT64_MAX);
+    CHECK_FALSE(parseBytes(std::string("32\0", 3)));
     for (const char* wrong : {"", "M", "0", "0K", "-1", "1.5G", "32MB", " 1", "1 ",
                               "auto", "16777216T", "18446744073709551616"})
-        CHECK_FALSE(bytesOf(wrong));
+        CHECK_FALSE(parseBytes(wrong));
     SettingInfo info = wordSetting("near-field", {"auto", "none"}, "what is kept");
     CHECK_FALSE(Settings::complete({info}, {{"near-field", std::string("32M")}}, "m"));
     info.bytes = true;

@@ -6,6 +6,7 @@
 #include <optional>
 #include <vector>
 
+#include "bumpy_mesh.h"
 #include "mtsm/bake.h"
 #include "mtsm/scene.h"
 #include "mtsm/shadow.h"
@@ -17,9 +18,8 @@ namespace {
 
 /// Sixty cards, each a disk that is cut out by a texture.
 struct Cards {
-    std::vector<glm::vec3> positions;
+    test::Mesh mesh;
     std::vector<glm::vec2> uvs;
-    std::vector<std::uint32_t> indices;
     std::optional<OpacityTexture> texture;
 
     Cards() {
@@ -27,14 +27,15 @@ struct Cards {
             const float x = -1.0f + 2.0f * float(k * 37 % 60) / 60.0f;
             const float z = -1.0f + 2.0f * float(k * 23 % 60) / 60.0f;
             const float y = 0.6f + 0.8f * float(k * 11 % 60) / 60.0f;
-            const auto first = std::uint32_t(positions.size());
-            positions.insert(positions.end(), {{x - 0.2f, y - 0.05f, z - 0.2f},
-                                               {x + 0.2f, y + 0.1f, z - 0.2f},
-                                               {x + 0.2f, y + 0.1f, z + 0.2f},
-                                               {x - 0.2f, y - 0.05f, z + 0.2f}});
+            const auto first = std::uint32_t(mesh.positions.size());
+            mesh.positions.insert(mesh.positions.end(),
+                                  {{x - 0.2f, y - 0.05f, z - 0.2f},
+                                   {x + 0.2f, y + 0.1f, z - 0.2f},
+                                   {x + 0.2f, y + 0.1f, z + 0.2f},
+                                   {x - 0.2f, y - 0.05f, z + 0.2f}});
             uvs.insert(uvs.end(), {{0, 0}, {1, 0}, {1, 1}, {0, 1}});
             for (const std::uint32_t i : {0u, 1u, 2u, 0u, 2u, 3u})
-                indices.push_back(first + i);
+                mesh.indices.push_back(first + i);
         }
         OpacityImage image;
         image.width = image.height = 16;
@@ -46,11 +47,7 @@ struct Cards {
         texture = *OpacityTexture::create(std::move(image));
     }
     [[nodiscard]] MeshView view() const {
-        MeshView view;
-        view.positions = positions.data();
-        view.vertexCount = positions.size();
-        view.indices = indices.data();
-        view.triangleCount = indices.size() / 3;
+        MeshView view = mesh.view();
         view.uvs = uvs.data();
         view.texture = &*texture;
         return view;
@@ -105,23 +102,18 @@ TEST_CASE("a crown that a large light stands right beside is no darker with few 
           "[shadow][statistical]") {
     // Two thousand small panes that let half of the light through, in clumps.
     test::Random random(11);
-    std::vector<glm::vec3> positions;
-    std::vector<std::uint32_t> indices;
+    test::Mesh mesh;
     for (int clump = 0; clump < 12; ++clump) {
         const glm::dvec3 middle(random.in(-1, 1), random.in(1, 3), random.in(-1, 1));
         for (int i = 0; i < 170; ++i) {
             const glm::dvec3 at = middle + 0.35 * random.in(0, 1) * random.direction();
             for (int corner = 0; corner < 3; ++corner) {
-                indices.push_back(std::uint32_t(positions.size()));
-                positions.push_back(glm::vec3(at + 0.12 * random.direction()));
+                mesh.indices.push_back(std::uint32_t(mesh.positions.size()));
+                mesh.positions.push_back(glm::vec3(at + 0.12 * random.direction()));
             }
         }
     }
-    MeshView panes;
-    panes.positions = positions.data();
-    panes.vertexCount = positions.size();
-    panes.indices = indices.data();
-    panes.triangleCount = indices.size() / 3;
+    MeshView panes = mesh.view();
     panes.opacity = 0.5f;
     CasterViews casters({panes});
     BakeOptions options;

@@ -138,6 +138,15 @@ Met meets(const Triangle& t, glm::dvec3 start, glm::dvec3 delta, double begin,
 struct Disagreement {
     int wrong = 0, hit = 0, missed = 0, close = 0;
 
+    /// What traceNear() makes of the rays, above a height, of planes if asked for.
+    void trace(Random& random, const ShadowMap& map,
+               const std::vector<Triangle>& triangles, bool planes, test::Rays& rays) {
+        const double height = random.in(0, 0.5);
+        if (planes) addPlanes(random, rays);
+        test::Rays after = rays;
+        traceNear(map, after, height);
+        add(rays, after, triangles, height);
+    }
     void add(const test::Rays& before, const test::Rays& after,
              const std::vector<Triangle>& triangles, double height) {
         for (int row = 0; row < before.rows(); ++row) {
@@ -203,11 +212,7 @@ TEST_CASE("rays are blocked by the triangles that brute force finds", "[trace][t
             auto rays = raysAround(random, receivers,
                                    1 + int(random.below(std::size_t(20 / receivers))),
                                    from, std::exp2(random.in(-6, 2)), reach);
-            const double height = random.in(0, 0.5);
-            if (i % 2) addPlanes(random, *rays);
-            test::Rays after = *rays;
-            traceNear(map, after, height);
-            found.add(*rays, after, triangles, height);
+            found.trace(random, map, triangles, i % 2, *rays);
         }
     }
     CHECK(found.wrong == 0);
@@ -233,11 +238,7 @@ TEST_CASE("a few rays of each receiver are blocked by what brute force finds",
                                          std::exp2(random.in(-6, 4)), reach);
             for (int row = 0; row < rays->rows(); ++row)
                 rays->bundle.open[row] = std::uint16_t(random.below(16));
-            const double height = random.in(0, 0.5);
-            if (i % 2) addPlanes(random, *rays);
-            test::Rays after = *rays;
-            traceNear(map, after, height);
-            found.add(*rays, after, triangles, height);
+            found.trace(random, map, triangles, i % 2, *rays);
         }
     }
     CHECK(found.wrong == 0);

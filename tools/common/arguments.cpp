@@ -7,6 +7,8 @@
 #include <sstream>
 #include <string_view>
 
+#include "mtsm/describe.h"
+
 namespace mtsm::tools {
 namespace {
 
@@ -129,20 +131,9 @@ std::optional<MaterialTexture> parseTexture(const std::string& text) {
 }
 
 std::uint64_t parseBytes(const std::string& option, const std::string& text) {
-    static constexpr std::string_view kSuffixes = "KMGT";
-    std::string digits = text;
-    int shift = 0;
-    if (!digits.empty()) {
-        const auto at = kSuffixes.find(char(std::toupper(digits.back())));
-        if (at != std::string_view::npos) {
-            shift = 10 * (int(at) + 1);
-            digits.pop_back();
-        }
-    }
-    std::uint64_t bytes = 0;
-    if (!parse(digits, bytes) || bytes == 0 || bytes > (UINT64_MAX >> shift))
-        refuse(option, text, "a number of bytes such as 8G, 512M or 1000000");
-    return bytes << shift;
+    const auto bytes = mtsm::parseBytes(text);
+    if (!bytes) refuse(option, text, "a number of bytes such as 8G, 512M or 1000000");
+    return *bytes;
 }
 
 CLI::Option* addMaxMemory(CLI::App& app, std::string& value) {

@@ -5,6 +5,7 @@
 #pragma once
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -55,5 +56,10 @@ Result<Description> describe(const std::string& path, const ReadLimits& limits =
 /// control characters and bytes that are no UTF-8 become \n, \r, \t or \xNN. Messages of
 /// this library have been through it.
 std::string printable(const std::string& text);
+
+/// A number of bytes as people write it: 1000000, 512M, 8G; with K, M, G or T, of either
+/// case, so many times a power of 1024. At least 1; else, or if 64 bits are too few,
+/// nothing.
+std::optional<std::uint64_t> parseBytes(const std::string& text);
 
 }  // namespace mtsm
