@@ -2,11 +2,11 @@
 # Is the map ahead of Embree? Builds the tools, makes the scenes, measures both on each and prints
 # tables: equal samples, equal error, errors, cost against resolution, memory.
 #
-#     samples/paper/bench.sh                # all but the giants: about an hour and a half, two cores
+#     samples/paper/bench.sh                # all but the giants: some hours
 #     samples/paper/bench.sh palm fur       # some of: character bumpy palm fur cards smoke giant-13m
 #                                           # giant-109m
-#     samples/paper/bench.sh --quick        # fewer settings, each timed thrice: half an hour
-#     samples/paper/bench.sh --points16     # equal error with 16 points a pixel as well
+#     samples/paper/bench.sh --quick        # fewer settings, each timed thrice: three quarters of an hour
+#     samples/paper/bench.sh --points16     # equal error with 16 points a pixel as well, of fewer settings
 #     samples/paper/bench.sh --mesh dragon.ply --light-position 50,300,100 --light-radius 10
 #                                           # a mesh of yours on a floor as well
 #
@@ -104,11 +104,42 @@ truth = 4096
 END
 }
 
+# methods16 SCENE: the same where a pixel has 16 points, of which few samples are enough.
+methods16() {
+    local resolutions="512" near='"none", "auto"'
+    case $1 in
+    palm) resolutions="256, 512" ;;
+    fur | cards) resolutions="256, 512" near='"auto"' ;;
+    smoke) resolutions="64, 128" near='"none"' ;;
+    giant-*) resolutions="2048" near='"none"' ;;
+    esac
+    cat <<END
+[[method]]
+name = "embree"
+samples = [1, 4, 16]
+
+[[method]]
+name = "embree"
+mode = "pixel"
+samples = [1, 4, 16]
+
+[[method]]
+name = "mtsm"
+resolution = [$resolutions]
+near-field = [$near]
+samples = [1, 2, 4, 16, 64]
+END
+}
+
 # methods SCENE [16]: what is compared. Of Embree every mode that might be the cheapest; of the map
 # the sweep for equal error, the paper's settings, and what cost against resolution needs besides.
 methods() {
     local resolutions="512, 1024, 2048" near='"none"' further="" paper=1024
     local counts="1, 2, 4, 8, 16, 32, 64, 128, 256" embree="1, 2, 4, 8, 16, 32, 64, 128, 256"
+    if [ "${2-}" = 16 ]; then
+        methods16 "$1"
+        return
+    fi
     case $1 in
     character | bumpy | palm | mesh) near='"none", "auto"' further="4096, 8192" ;;
     fur) resolutions="256, $resolutions" near='"none", "auto"' further="4096" ;;
@@ -117,7 +148,9 @@ methods() {
     giant-*) resolutions="2048" paper=2048 embree="1, 4, 16, 64, 256" ;;
     esac
     if [ -n "$quick" ]; then
-        resolutions=${resolutions%, 2048} resolutions=${resolutions%, 512} further=""
+        resolutions=${resolutions%, 2048} resolutions=${resolutions%, 512}
+        [ "$further" != "4096, 8192" ] || further="2048, $further"
+        [ "$further" != 4096 ] || further=""
         counts="1, 2, 4, 8, 16, 64, 256" embree="1, 4, 16, 64, 256"
     fi
     cat <<END
@@ -149,7 +182,6 @@ near-field = [$near]
 samples = [${counts##*16, }]
 adaptive = "true"
 END
-    [ "${2-}" != 16 ] || return 0
     cat <<END
 
 [[method]]
@@ -175,8 +207,15 @@ for scene in "${scenes[@]}"; do
     caster "$scene"
     for points in 1 ${points16:+16}; do
         # Times are those of all pixels: what is asked for a few again and again lies in
-        # Embree's caches, and in small pictures neighbours share less of their way.
-        options=(--no-pictures --measured-pixels 180000) suffix=$quick truth="" pixels=2048
+        # Embree's caches, and in small pictures neighbours share less of their way. Of the
+        # giants' pictures, and with 16 points a pixel, a part is as many points.
+        measured=180000 truth="" pixels=2048 suffix=$quick
+        case $scene-$points in
+        giant-*) measured=20000 ;;
+        fur-16 | smoke-16) measured=8192 ;;
+        *-16) measured=32768 ;;
+        esac
+        options=(--no-pictures --threads 1 --measured-pixels "$measured")
         if [ -n "$quick" ]; then
             options+=(--repeats 3) truth=1024 pixels=1024
         fi
