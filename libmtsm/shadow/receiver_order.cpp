@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "base/parallel.h"
+#include "shadow/pixel_share.h"
 
 namespace mtsm::shadow {
 namespace {
@@ -77,16 +78,13 @@ ReceiverOrder::ReceiverOrder(const BundleQuery& bundles, const glm::dvec3* point
                 }
             }
         });
-    const std::size_t perPixel = std::size_t(options.pointsPerPixel);
-    const std::size_t longest = std::min(perPixel, kMostInRun);
-    const auto pixelOf = [&](std::size_t i) -> std::size_t {
-        if (perPixel == 1) return i;
-        return (options.pixelPoints ? options.pixelPoints[first + i] : first + i) /
-               perPixel;
+    const std::size_t longest = std::min(std::size_t(options.pointsPerPixel), kMostInRun);
+    const auto pixelOf = [&](std::size_t i) -> std::uint64_t {
+        return longest > 1 ? PixelPoint(options, first + i).pixel : i;
     };
     sorted_.reserve(count / longest + (longest > 1 ? count / (4 * longest) + 1 : 0));
     for (std::size_t i = 0; i < count;) {
-        const std::size_t pixel = pixelOf(i);
+        const std::uint64_t pixel = pixelOf(i);
         const std::size_t most = std::min(count, i + longest);
         std::size_t end = i + 1;
         while (end < most && pixelOf(end) == pixel &&
