@@ -82,12 +82,14 @@ double sheetWidth(std::uint32_t samples) noexcept {
 
 LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& light,
                              const ShadowOptions& options, bool near, double nearMost,
-                             bool normals, std::optional<std::uint32_t> onlyPattern) {
+                             Neighbours neighbours, bool normals,
+                             std::optional<std::uint32_t> onlyPattern) {
     LightRays::Setting setting;
     setting.seed = options.seed;
     setting.onlyPattern = onlyPattern;
     setting.pointsPerPixel = std::uint32_t(options.pointsPerPixel);
     setting.isPoint = light.isPoint();
+    setting.neighbours = neighbours;
     setting.samples =
         light.isPoint() ? 1u : std::uint32_t(std::clamp(options.samples, 1, kMaxSamples));
     setting.normals = normals;
@@ -168,9 +170,13 @@ BundleQuery::Face::Face(const ShadowMap& map, std::uint32_t number, ZRange reach
     if (map.isOpaque()) {
         patches = &(*trace::patchTrees(map))[number];
         const float piece = patches->pieceSize();
-        nearMost = piece > 0.0f && piece < kSmallPiece ? kNearMost : kNearDepth;
+        const bool small = piece > 0.0f && piece < kSmallPiece;
+        nearMost = small ? kNearMost : kNearDepth;
+        neighbours = small ? Neighbours::own : Neighbours::pixel;
     } else {
         nearMost = kHairMost;
+        const bool sheets = map.info().translucent == Translucent::sheets;
+        neighbours = sheets ? Neighbours::pixel : Neighbours::root;
         density = &(*trace::densityTrees(map, trace::DensityUse::receivers))[number];
     }
     const light::LightView seen = light.view(projection.eye + projection.forward);
@@ -238,8 +244,8 @@ void BundleQuery::addRays(Face& face, bool normals,
     (normals ? face.withNormals : face.without)
         .emplace(face.projection, map_.info().width, map_.info().height, face.depths,
                  light_,
-                 settingOf(map_, light_, options_, face.near, face.nearMost, normals,
-                           onlyPattern),
+                 settingOf(map_, light_, options_, face.near, face.nearMost,
+                           face.neighbours, normals, onlyPattern),
                  alike);
 }
 
@@ -343,14 +349,19 @@ void BundleQuery::setPatterns(std::size_t first, const std::size_t* points,
     }
     std::uint64_t pixel = 0, key = 0;
     std::uint32_t base = 0;
+    constexpr std::uint32_t kFew = 16;
+    std::uint32_t parts[kFew];  // of a pixel's points
     for (std::size_t k = 0; k < count; ++k) {
         const PixelPoint point(options_, first + points[k]);
         if (k == 0 || point.pixel != pixel) {
             pixel = point.pixel;
             key = PixelShare::keyOf(options_, point);
             base = std::uint32_t(key % (patterns_ / perPixel)) * perPixel;
+            if (perPixel <= kFew) shuffledAll(perPixel, base::mix(key), parts);
         }
-        receivers[k].pattern = base + PixelShare(options_, point, key).part;
+        receivers[k].pattern =
+            base + (perPixel <= kFew ? parts[point.number]
+                                     : PixelShare(options_, point, key).part);
     }
 }
 
@@ -644,9 +655,8 @@ static float highestOf(const NearSheets& sheets) {
 
 /// Does nothing lie between those that have all of the light above them and it?
 bool BundleQuery::isFree(const Face& face, const Outlook& starts) const noexcept {
-    const float among =
-        neighbours(steps_.end[0], std::uint32_t(options_.pointsPerPixel), !opaque_,
-                   map_.info().translucent == Translucent::sheets);
+    const float among = neighbours(steps_.end[0], std::uint32_t(options_.pointsPerPixel),
+                                   face.neighbours);
     std::optional<trace::RayHull> hull = face.outline.hull(starts, among);
     if (!hull) return false;
     if (face.near) {

@@ -21,6 +21,7 @@
 #include "mtsm/shadow.h"
 #include "shadow/light_outline.h"
 #include "shadow/light_rays.h"
+#include "shadow/pixel_share.h"
 #include "shadow/query.h"
 #include "shadow/receiver_places.h"
 #include "shadow/sample_error.h"
@@ -112,6 +113,7 @@ class BundleQuery {
         /// asked for.
         bool near;
         double nearMost;  ///< depth that triangles or strands answer for, footprints
+        Neighbours neighbours;
         const trace::PatchTree* patches = nullptr;    ///< of an opaque map
         const trace::DensityTree* density = nullptr;  ///< of any other
         std::optional<LightRays> withNormals, without;

@@ -15,6 +15,7 @@
 
 #include "light/sample.h"
 #include "mtsm/map.h"
+#include "shadow/pixel_share.h"
 #include "shadow/sample_error.h"
 #include "trace/bundle.h"
 
@@ -82,6 +83,7 @@ class LightRays {
         double nearDepth = 0.0, nearHeight = 0.0, nearStart = 1.0;
         double nearWidth = 0.0, nearLeast = 0.0;
         std::uint32_t pointsPerPixel = 1;
+        Neighbours neighbours = Neighbours::own;
         std::optional<std::uint32_t> onlyPattern;
     };
     /// `depths`: of all that there is to meet, biases included. `alike`: rays of the same

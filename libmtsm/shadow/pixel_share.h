@@ -33,16 +33,43 @@ namespace mtsm::shadow {
     return part;
 }
 
-/// Texels may be as wide as so many rays to the light are apart: those of a point and,
-/// for it is the mean of a pixel that counts, of the others in its pixel all (sheets) or
-/// the root of as many (media), where those of the point are few. Of opaque maps it would
-/// cost leaves more than they gain (tests/bench/NOTES.md).
+/// The same of all parts at once: of a power of two of them in vectors.
+inline void shuffledAll(std::uint32_t count, std::uint64_t key,
+                        std::uint32_t* parts) noexcept {
+    if (!std::has_single_bit(count) || count == 1) {
+        for (std::uint32_t part = 0; part < count; ++part)
+            parts[part] = shuffled(part, count, key);
+        return;
+    }
+    const int bits = std::bit_width(count - 1), half = (bits + 1) / 2;
+    const std::uint32_t mask = count - 1;
+    for (std::uint32_t part = 0; part < count; ++part)
+        parts[part] = part;
+    for (int round = 0; round < 6; ++round) {
+        const auto more = std::uint32_t(std::rotr(key, 11 * round));
+        const std::uint32_t times = (more >> 4) | 1u;
+        for (std::uint32_t part = 0; part < count; ++part) {
+            const std::uint32_t x = ((parts[part] ^ more) * times) & mask;
+            parts[part] = x ^ (x >> half);
+        }
+    }
+}
+
+/// Whose rays count as neighbours of a point's, for it is the mean of a pixel that
+/// counts: its own alone (opaque maps of small pieces, as leaves are, whom finer texels
+/// cost more than they gain), the root of as many as the pixel has (media), or all of
+/// them (other opaque maps, sheets); tests/bench/NOTES.md.
+enum class Neighbours : std::uint8_t { own, root, pixel };
+
+/// Texels may be as wide as so many rays to the light are apart: those of a point, and,
+/// where they are few, of its neighbours.
 [[nodiscard]] inline float neighbours(std::uint32_t samples, std::uint32_t pointsPerPixel,
-                                      bool media, bool sheets) noexcept {
+                                      Neighbours whose) noexcept {
     constexpr float kFew = 64.0f;
     const auto own = float(samples), points = float(pointsPerPixel);
-    if (!media) return own;
-    return std::max(own, std::min(own * (sheets ? points : std::sqrt(points)), kFew));
+    if (whose == Neighbours::own) return own;
+    const float more = whose == Neighbours::pixel ? points : std::sqrt(points);
+    return std::max(own, std::min(own * more, kFew));
 }
 
 /// Of a batch with pixelPoints, or without.

@@ -4,13 +4,11 @@
 #include <array>
 #include <utility>
 
-#include "base/parallel.h"
 #include "shadow/pixel_share.h"
 
 namespace mtsm::shadow {
 namespace {
 
-constexpr std::size_t kPointsPerTask = 4096;
 constexpr std::uint32_t kPlaces = (1u << 30) - 1;
 
 /// Are places (ReceiverPlaces) no more than three or four cells apart in each axis?
@@ -58,32 +56,48 @@ void ReceiverOrder::sort(std::vector<Entry>& entries) {
     }
 }
 
-ReceiverOrder::ReceiverOrder(const BundleQuery& bundles, const glm::dvec3* points,
+void ReceiverOrder::findKeys(const BundleQuery& bundles, const glm::dvec3* points,
                              const glm::dvec3* normals, std::size_t count,
-                             std::size_t first, const ShadowOptions& options)
-    : together_(~kPlaces | bundles.together()) {
+                             std::uint32_t* keys) {
     constexpr std::size_t kAtOnce = ReceiverPlaces::kAtOnce;
-    std::vector<std::uint32_t> keys(count);
-    base::parallelRanges(
-        std::size_t(0), count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
-            for (std::size_t at = begin; at < end; at += kAtOnce) {
-                const std::size_t some = std::min(kAtOnce, end - at);
-                bundles.findPlaces(points + at, int(some), &keys[at]);
-                for (std::size_t i = at; i < at + some; ++i) {
-                    Kind kind = Kind::alone;
-                    if (keys[i] != ReceiverPlaces::kNone)
-                        kind = normals && saysSomething(normals[i]) ? Kind::withNormal
-                                                                    : Kind::without;
-                    keys[i] = std::uint32_t(kind) << 30 | (keys[i] & kPlaces);
-                }
-            }
-        });
+    for (std::size_t at = 0; at < count; at += kAtOnce) {
+        const std::size_t some = std::min(kAtOnce, count - at);
+        bundles.findPlaces(points + at, int(some), keys + at);
+        for (std::size_t i = at; i < at + some; ++i) {
+            Kind kind = Kind::alone;
+            if (keys[i] != ReceiverPlaces::kNone)
+                kind = normals && saysSomething(normals[i]) ? Kind::withNormal
+                                                            : Kind::without;
+            keys[i] = std::uint32_t(kind) << 30 | (keys[i] & kPlaces);
+        }
+    }
+}
+
+std::size_t ReceiverOrder::alike(const BundleQuery& bundles, const std::uint32_t* keys,
+                                 std::size_t count) noexcept {
+    const std::uint32_t together = ~kPlaces | bundles.together();
+    if (Kind(keys[0] >> 30) == Kind::alone) return 0;
+    std::size_t same = 1;
+    while (same < count && ((keys[same] ^ keys[0]) & together) == 0)
+        ++same;
+    return same;
+}
+
+ReceiverOrder::ReceiverOrder(const BundleQuery& bundles,
+                             const std::vector<std::uint32_t>& keys, std::size_t first,
+                             const ShadowOptions& options)
+    : together_(~kPlaces | bundles.together()) {
+    const std::size_t count = keys.size();
     const std::size_t longest = std::min(std::size_t(options.pointsPerPixel), kMostInRun);
     const auto pixelOf = [&](std::size_t i) -> std::uint64_t {
         return longest > 1 ? PixelPoint(options, first + i).pixel : i;
     };
     sorted_.reserve(count / longest + (longest > 1 ? count / (4 * longest) + 1 : 0));
     for (std::size_t i = 0; i < count;) {
+        if (keys[i] == kLeftOut) {
+            ++i;
+            continue;
+        }
         const std::uint64_t pixel = pixelOf(i);
         const std::size_t most = std::min(count, i + longest);
         std::size_t end = i + 1;
@@ -93,7 +107,7 @@ ReceiverOrder::ReceiverOrder(const BundleQuery& bundles, const glm::dvec3* point
         sorted_.push_back({keys[i], std::uint32_t(i << 4 | (end - i - 1))});
         i = end;
     }
-    if (count > 1) sort(sorted_);
+    if (sorted_.size() > 1) sort(sorted_);
 }
 
 ReceiverOrder::Block ReceiverOrder::block(std::size_t first, std::size_t end,

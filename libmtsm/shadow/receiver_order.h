@@ -18,11 +18,22 @@ class ReceiverOrder {
     static constexpr std::size_t kMostPoints = std::size_t(1) << 28;
     static constexpr std::size_t kMostInRun = 16;
 
-    /// `normals` may be null. At most kMostPoints points, which begin with number `first`
-    /// of the batch that `options` are for.
-    ReceiverOrder(const BundleQuery& bundles, const glm::dvec3* points,
-                  const glm::dvec3* normals, std::size_t count, std::size_t first,
-                  const ShadowOptions& options);
+    /// By which points are put in order. `normals` may be null.
+    static void findKeys(const BundleQuery& bundles, const glm::dvec3* points,
+                         const glm::dvec3* normals, std::size_t count,
+                         std::uint32_t* keys);
+    /// In place of the key of a point that is left out.
+    static constexpr std::uint32_t kLeftOut = ~std::uint32_t(0);
+    /// How many points from the first on are of one kind and face; none if a bundle does
+    /// not answer them.
+    [[nodiscard]] static std::size_t alike(const BundleQuery& bundles,
+                                           const std::uint32_t* keys,
+                                           std::size_t count) noexcept;
+
+    /// At most kMostPoints points, which begin with number `first` of the batch that
+    /// `options` are for.
+    ReceiverOrder(const BundleQuery& bundles, const std::vector<std::uint32_t>& keys,
+                  std::size_t first, const ShadowOptions& options);
 
     /// Points that follow each other.
     struct Run {

@@ -172,12 +172,82 @@ class Ahead {
     std::size_t next_, end_;
 };
 
+/// Says when something that is often worth its cost is to be tried: after failures less
+/// and less often.
+class Worth {
+  public:
+    [[nodiscard]] bool isDue() { return wait_ == 0 || --wait_ == 0; }
+    void learn(bool success) {
+        constexpr int kMost = 15;
+        pause_ = success ? 0 : std::min(2 * pause_ + 1, kMost);
+        wait_ = pause_ > 0 ? pause_ + 1 : 0;
+    }
+
+  private:
+    int pause_ = 0, wait_ = 0;
+};
+
+/// Of points as they come: answers those of whom a glance tells enough, which need not be
+/// put in order. The keys of the others, with kLeftOut for what is answered.
+template <typename Take>
+std::vector<std::uint32_t> answerAtSight(const shadow::Query& query,
+                                         const shadow::BundleQuery& bundles,
+                                         const Batch& batch, QueryStats& stats,
+                                         const Take& take) {
+    using shadow::ReceiverOrder;
+    using Glance = shadow::BundleQuery::Glance;
+    constexpr std::size_t kPerTask = 4096, kMost = shadow::BundleQuery::kMostGlances;
+    const Answer lit = bundles.answerOf(Glance::lit);
+    const Answer dark = bundles.answerOf(Glance::dark);
+    std::vector<std::uint32_t> keys(batch.count);
+    std::mutex mutex;
+    base::parallelRanges(
+        std::size_t(0), batch.count, kPerTask, [&](std::size_t begin, std::size_t end) {
+            QueryStats part;
+            Worth worth;
+            shadow::Receiver receivers[kMost];
+            Glance told[kMost];
+            for (std::size_t first = begin; first < end; first += kMost) {
+                const std::size_t some = std::min(kMost, end - first);
+                ReceiverOrder::findKeys(bundles, batch.points + first,
+                                        batch.normals ? batch.normals + first : nullptr,
+                                        some, &keys[first]);
+                // Few are done as soon by their rays.
+                const std::size_t alike =
+                    ReceiverOrder::alike(bundles, &keys[first], some);
+                if (alike < std::size_t(trace::kMostReceivers) || !worth.isDue())
+                    continue;
+                for (std::size_t k = 0; k < alike; ++k) {
+                    receivers[k].point = batch.points[first + k];
+                    const glm::dvec3 normal = batch.normal(first + k);
+                    receivers[k].normal =
+                        shadow::saysSomething(normal) ? normal : glm::dvec3(0.0);
+                }
+                bundles.glance(receivers, int(alike), told, part);
+                std::size_t answered = 0;
+                for (std::size_t k = 0; k < alike; ++k) {
+                    if (told[k] == Glance::unknown) continue;
+                    query.count(receivers[k].point, part);
+                    take(first + k, told[k] == Glance::lit ? lit : dark);
+                    keys[first + k] = ReceiverOrder::kLeftOut;
+                    ++answered;
+                }
+                worth.learn(answered > alike / 8);
+            }
+            const std::lock_guard lock(mutex);
+            add(stats, part);
+        });
+    return keys;
+}
+
 /// The same, neighbours together.
 template <typename Take>
 void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles,
                   const Batch& batch, QueryStats& stats, const Take& take) {
-    const shadow::ReceiverOrder order(bundles, batch.points, batch.normals, batch.count,
+    const shadow::ReceiverOrder order(bundles,
+                                      answerAtSight(query, bundles, batch, stats, take),
                                       batch.first, batch.options);
+    if (order.runs() == 0) return;
     using Glance = shadow::BundleQuery::Glance;
     const Answer lit = bundles.answerOf(Glance::lit);
     const Answer dark = bundles.answerOf(Glance::dark);
@@ -186,6 +256,7 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
         constexpr int kMost = shadow::BundleQuery::kMostGlances;
         QueryStats part;
         Groups groups(bundles, part, take);
+        Worth worth;
         shadow::Receiver receivers[kMost];
         std::size_t indices[kMost];
         Glance told[kMost];
@@ -218,10 +289,11 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
             }
             for (std::size_t k = 0; k < count; ++k)
                 query.count(receivers[k].point, part);
-            bundles.glance(receivers, int(count), told, part);
-            // The others close ranks.
             std::size_t left = 0;
-            for (std::size_t k = 0; k < count; ++k) {
+            const bool due = worth.isDue();
+            if (due) bundles.glance(receivers, int(count), told, part);
+            // The others close ranks.
+            for (std::size_t k = 0; due && k < count; ++k) {
                 if (told[k] != Glance::unknown) {
                     take(indices[k], told[k] == Glance::lit ? lit : dark);
                     continue;
@@ -229,6 +301,10 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
                 receivers[left] = receivers[k];
                 indices[left++] = indices[k];
             }
+            if (due)
+                worth.learn(count - left > count / 8);
+            else
+                left = count;
             bundles.setPatterns(batch.first, indices, left, receivers);
             constexpr auto kGroup = std::size_t(trace::kMostReceivers);
             for (std::size_t k = 0; k < left; k += kGroup) {
