@@ -208,19 +208,15 @@ for scene in "${scenes[@]}"; do
     for points in 1 ${points16:+16}; do
         # Times are those of all pixels: what is asked for a few again and again lies in
         # Embree's caches, and in small pictures neighbours share less of their way. Of the
-        # giants' pictures, and with 16 points a pixel, a part is as many points.
-        measured=180000 truth="" pixels=2048 suffix=$quick
-        case $scene-$points in
-        giant-*) measured=20000 ;;
-        fur-16 | smoke-16) measured=8192 ;;
-        *-16) measured=32768 ;;
-        esac
+        # giants' pictures a part is as many points.
+        measured=180000 truth="" suffix=$quick
+        case $scene in giant-*) measured=20000 ;; esac
         options=(--no-pictures --threads 1 --measured-pixels "$measured")
         if [ -n "$quick" ]; then
-            options+=(--repeats 3) truth=1024 pixels=1024
+            options+=(--repeats 3) truth=1024
         fi
-        if [ "$points" = 16 ]; then
-            options+=(--points 16 --pixels "$pixels") truth=256 suffix=-16$quick
+        if [ "$points" = 16 ]; then # rays a pixel as with one point
+            options+=(--points 16) truth=$((${truth:-4096} / 16)) suffix=-16$quick
         fi
         echo
         echo "=== $scene, $points point(s) a pixel"
