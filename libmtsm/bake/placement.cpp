@@ -358,7 +358,7 @@ Status checkSampling(const BakeOptions& o) {
 }  // namespace
 
 Error nothingCasts(const BakeReport& r) {
-    return makeError(ErrorCode::badFile, "no triangle casts a shadow: of ", r.triangles,
+    return makeError(ErrorCode::badFile, "nothing casts a shadow: of ", r.triangles,
                      " in ", r.meshes, " meshes, ", r.degenerate, " have no area, ",
                      r.nonFinite, " have a corner that is not finite, ", r.transparent,
                      " are wholly transparent, ", r.culled, " are culled, ", r.outside,
