@@ -210,8 +210,9 @@ for scene in "${scenes[@]}"; do
         # Embree's caches, and in small pictures neighbours share less of their way. Of the
         # giants' pictures a part is as many points.
         measured=180000 truth="" suffix=$quick
-        case $scene in giant-*) measured=20000 ;; esac
-        options=(--no-pictures --threads 1 --measured-pixels "$measured")
+        pixels=0
+        case $scene in giant-*) measured=20000 pixels=2048 ;; esac
+        options=(--no-pictures --threads 1 --pixels "$pixels" --measured-pixels "$measured")
         if [ -n "$quick" ]; then
             options+=(--repeats 3) truth=1024
         fi
