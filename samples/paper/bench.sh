@@ -211,7 +211,7 @@ for scene in "${scenes[@]}"; do
         # giants' pictures a part is as many points.
         measured=180000 truth="" suffix=$quick
         pixels=0
-        case $scene in giant-*) measured=20000 pixels=2048 ;; esac
+        case $scene in giant-*) measured=20000 pixels=20000 ;; esac
         options=(--no-pictures --threads 1 --pixels "$pixels" --measured-pixels "$measured")
         if [ -n "$quick" ]; then
             options+=(--repeats 3) truth=1024
