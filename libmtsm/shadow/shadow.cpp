@@ -52,6 +52,11 @@ struct Batch {
     [[nodiscard]] glm::dvec3 normal(std::size_t i) const {
         return normals ? normals[i] : glm::dvec3(0.0);
     }
+    /// As bundles take it.
+    [[nodiscard]] shadow::Receiver receiver(std::size_t i) const {
+        const glm::dvec3 n = normal(i);
+        return {points[i], shadow::saysSomething(n) ? n : glm::dvec3(0.0)};
+    }
     [[nodiscard]] Batch part(std::size_t from, std::size_t size) const {
         Batch b = *this;
         b.points += from;
@@ -217,12 +222,8 @@ std::vector<std::uint32_t> answerAtSight(const shadow::Query& query,
                     ReceiverOrder::alike(bundles, &keys[first], some);
                 if (alike < std::size_t(trace::kMostReceivers) || !worth.isDue())
                     continue;
-                for (std::size_t k = 0; k < alike; ++k) {
-                    receivers[k].point = batch.points[first + k];
-                    const glm::dvec3 normal = batch.normal(first + k);
-                    receivers[k].normal =
-                        shadow::saysSomething(normal) ? normal : glm::dvec3(0.0);
-                }
+                for (std::size_t k = 0; k < alike; ++k)
+                    receivers[k] = batch.receiver(first + k);
                 bundles.glance(receivers, int(alike), told, part);
                 std::size_t answered = 0;
                 for (std::size_t k = 0; k < alike; ++k) {
@@ -270,10 +271,7 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
                     hwy::Prefetch(batch.options.pixelPoints + batch.first + points.point);
                 for (std::size_t i = points.point; i < points.point + points.count; ++i) {
                     indices[count] = i;
-                    receivers[count].point = batch.points[i];
-                    const glm::dvec3 normal = batch.normal(i);
-                    receivers[count++].normal =
-                        shadow::saysSomething(normal) ? normal : glm::dvec3(0.0);
+                    receivers[count++] = batch.receiver(i);
                 }
             }
             first += block.runs;

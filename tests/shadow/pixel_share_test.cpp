@@ -52,6 +52,14 @@ TEST_CASE("the parts of a pixel are shuffled, none twice", "[shadow]") {
         CHECK(taken.size() == count);
         CHECK(*taken.rbegin() == count - 1);
     }
+    for (std::uint32_t count = 1; count <= 16; ++count) {
+        for (std::uint64_t pixel = 0; pixel < 100; ++pixel) {
+            std::uint32_t parts[16];
+            shadow::shuffledAll(count, base::mix(pixel), parts);
+            for (std::uint32_t part = 0; part < count; ++part)
+                REQUIRE(parts[part] == shadow::shuffled(part, count, base::mix(pixel)));
+        }
+    }
     // Every part comes first as often: 64 pixels a part, give or take 4 deviations.
     int first[16] = {};
     for (std::uint64_t pixel = 0; pixel < 1024; ++pixel)
