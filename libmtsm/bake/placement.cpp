@@ -358,11 +358,11 @@ Status checkSampling(const BakeOptions& o) {
 }  // namespace
 
 Error nothingCasts(const BakeReport& r) {
-    return makeError(ErrorCode::badFile, "nothing casts a shadow: of ", r.triangles,
-                     " in ", r.meshes, " meshes, ", r.degenerate, " have no area, ",
-                     r.nonFinite, " have a corner that is not finite, ", r.transparent,
-                     " are wholly transparent, ", r.culled, " are culled, ", r.outside,
-                     " lie outside the window, near and far");
+    return makeError(
+        ErrorCode::badFile, "nothing casts a shadow: of ", r.triangles, " triangles in ",
+        r.meshes, " meshes, ", r.degenerate, " have no area, ", r.nonFinite,
+        " have a corner that is not finite, ", r.transparent, " are wholly transparent, ",
+        r.culled, " are culled, ", r.outside, " lie outside the window, near and far");
 }
 
 Status checkOptions(const BakeOptions& o) {

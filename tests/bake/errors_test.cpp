@@ -148,14 +148,15 @@ TEST_CASE("casters without a usable triangle are a bad file that says why",
                 if (given) o.target = glm::dvec3(0.0);
             },
             {broken, clear});
-        checkNames(e, ErrorCode::badFile, "of 5 in 2 meshes");
+        checkNames(e, ErrorCode::badFile, "of 5 triangles in 2 meshes");
         checkNames(e, ErrorCode::badFile, "1 have no area");
         checkNames(e, ErrorCode::badFile, "2 have a corner that is not finite");
         checkNames(e, ErrorCode::badFile, "2 are wholly transparent");
     }
-    checkNames(refused([](BakeOptions&) {}, {}), ErrorCode::badFile, "of 0 in 0 meshes");
+    checkNames(refused([](BakeOptions&) {}, {}), ErrorCode::badFile,
+               "of 0 triangles in 0 meshes");
     checkNames(refused([](BakeOptions& o) { o.light.shape = LightShape::sun; }, {broken}),
-               ErrorCode::badFile, "no triangle");
+               ErrorCode::badFile, "nothing casts a shadow: of 3 triangles");
     Mesh facing = square();
     checkNames(refused(
                    [](BakeOptions& o) {
