@@ -111,7 +111,7 @@ methods16() {
     palm) resolutions="256, 512" ;;
     fur | cards) resolutions="256, 512" near='"auto"' ;;
     smoke) resolutions="64, 128" near='"none"' ;;
-    giant-*) resolutions="2048" near='"none"' ;;
+    giant-*) near='"512M"' ;;
     esac
     cat <<END
 [[method]]
@@ -145,7 +145,7 @@ methods() {
     fur) resolutions="256, $resolutions" near='"none", "auto"' further="4096" ;;
     cards) resolutions="256, $resolutions" near='"none", "auto"' ;;
     smoke) resolutions="64, 128, 256, 512" ;; # of 128 x 128 x 128 voxels
-    giant-*) resolutions="2048" paper=2048 embree="1, 4, 16, 64, 256" ;;
+    giant-*) resolutions="512, 2048" near='"none", "512M"' paper=2048 embree="1, 4, 16, 64, 256" ;;
     esac
     if [ -n "$quick" ]; then
         resolutions=${resolutions%, 2048} resolutions=${resolutions%, 512}
