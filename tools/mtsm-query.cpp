@@ -879,9 +879,9 @@ void runPoints(const Arguments& a, const CLI::App& app, Kind kind, ShadowMap& ma
     // Strands and fog have none.
     if (kind == Kind::position && !r.normalPass &&
         (map.isOpaque() || map.info().translucent == Translucent::sheets))
-        talk.say(
-            "no normals: surfaces are told from their own blockers by a bias; "
-            "--normal-pass N.exr is better");
+        talk.say(a.positionFile +
+                 ": no normals: surfaces are told from their own blockers by a bias; "
+                 "--normal-pass N.exr is better");
     const auto start = std::chrono::steady_clock::now();
     if (anySurface(r)) makeReady(options, map, talk);
     if (a.quality.meanError())

@@ -17,18 +17,23 @@
 
 namespace mtsm::shadow {
 
+/// A round of shuffling, each a permutation of the numbers of so many bits.
+[[nodiscard]] inline std::uint32_t shuffledOnce(std::uint32_t part, int bits,
+                                                std::uint64_t key, int round) noexcept {
+    const auto more = std::uint32_t(std::rotr(key, 11 * round));
+    part = ((part ^ more) * ((more >> 4) | 1u)) & ((1u << bits) - 1);
+    return part ^ (part >> ((bits + 1) / 2));
+}
+inline constexpr int kShuffleRounds = 6;
+
 /// A number below `count` for each part below it, another order for every key.
 [[nodiscard]] inline std::uint32_t shuffled(std::uint32_t part, std::uint32_t count,
                                             std::uint64_t key) noexcept {
     if (count <= 1) return 0;
     const int bits = std::bit_width(count - 1);
-    const std::uint32_t mask = (1u << bits) - 1;
-    do {  // each round is a permutation of the numbers of so many bits
-        for (int round = 0; round < 6; ++round) {
-            const auto more = std::uint32_t(std::rotr(key, 11 * round));
-            part = ((part ^ more) * ((more >> 4) | 1u)) & mask;
-            part ^= part >> ((bits + 1) / 2);
-        }
+    do {
+        for (int round = 0; round < kShuffleRounds; ++round)
+            part = shuffledOnce(part, bits, key, round);
     } while (part >= count);
     return part;
 }
@@ -36,22 +41,13 @@ namespace mtsm::shadow {
 /// The same of all parts at once: of a power of two of them in vectors.
 inline void shuffledAll(std::uint32_t count, std::uint64_t key,
                         std::uint32_t* parts) noexcept {
-    if (!std::has_single_bit(count) || count == 1) {
-        for (std::uint32_t part = 0; part < count; ++part)
-            parts[part] = shuffled(part, count, key);
-        return;
-    }
-    const int bits = std::bit_width(count - 1), half = (bits + 1) / 2;
-    const std::uint32_t mask = count - 1;
+    const bool whole = std::has_single_bit(count) && count > 1;
     for (std::uint32_t part = 0; part < count; ++part)
-        parts[part] = part;
-    for (int round = 0; round < 6; ++round) {
-        const auto more = std::uint32_t(std::rotr(key, 11 * round));
-        const std::uint32_t times = (more >> 4) | 1u;
-        for (std::uint32_t part = 0; part < count; ++part) {
-            const std::uint32_t x = ((parts[part] ^ more) * times) & mask;
-            parts[part] = x ^ (x >> half);
-        }
+        parts[part] = whole ? part : shuffled(part, count, key);
+    const int bits = std::bit_width(count - 1);
+    for (int round = 0; whole && round < kShuffleRounds; ++round) {
+        for (std::uint32_t part = 0; part < count; ++part)
+            parts[part] = shuffledOnce(parts[part], bits, key, round);
     }
 }
 

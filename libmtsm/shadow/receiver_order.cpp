@@ -105,6 +105,7 @@ ReceiverOrder::ReceiverOrder(const BundleQuery& bundles,
                ((keys[end] ^ keys[i]) & together_) == 0 && areClose(keys[end], keys[i]))
             ++end;
         sorted_.push_back({keys[i], std::uint32_t(i << 4 | (end - i - 1))});
+        points_ += end - i;
         i = end;
     }
     if (sorted_.size() > 1) sort(sorted_);

@@ -41,6 +41,8 @@ class ReceiverOrder {
         std::uint32_t count;
     };
     [[nodiscard]] std::size_t runs() const noexcept { return sorted_.size(); }
+    /// In all runs together.
+    [[nodiscard]] std::size_t points() const noexcept { return points_; }
     /// The run that comes as number i.
     [[nodiscard]] Run operator[](std::size_t i) const noexcept {
         return {sorted_[i].run >> 4, (sorted_[i].run & 15) + 1};
@@ -64,6 +66,7 @@ class ReceiverOrder {
     static void sort(std::vector<Entry>& entries);
 
     std::vector<Entry> sorted_;
+    std::size_t points_ = 0;
     std::uint32_t together_;  // bits of a key that those of a block have in common
 };
 

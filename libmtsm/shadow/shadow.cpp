@@ -287,11 +287,14 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
             }
             for (std::size_t k = 0; k < count; ++k)
                 query.count(receivers[k].point, part);
-            std::size_t left = 0;
             const bool due = worth.isDue();
-            if (due) bundles.glance(receivers, int(count), told, part);
+            if (due)
+                bundles.glance(receivers, int(count), told, part);
+            else
+                std::fill_n(told, count, Glance::unknown);
             // The others close ranks.
-            for (std::size_t k = 0; due && k < count; ++k) {
+            std::size_t left = 0;
+            for (std::size_t k = 0; k < count; ++k) {
                 if (told[k] != Glance::unknown) {
                     take(indices[k], told[k] == Glance::lit ? lit : dark);
                     continue;
@@ -299,10 +302,7 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
                 receivers[left] = receivers[k];
                 indices[left++] = indices[k];
             }
-            if (due)
-                worth.learn(count - left > count / 8);
-            else
-                left = count;
+            if (due) worth.learn(count - left > count / 8);
             bundles.setPatterns(batch.first, indices, left, receivers);
             constexpr auto kGroup = std::size_t(trace::kMostReceivers);
             for (std::size_t k = 0; k < left; k += kGroup) {
@@ -314,7 +314,7 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
         const std::lock_guard lock(mutex);
         add(stats, part);
     };
-    const std::size_t perRun = (batch.count + order.runs() - 1) / order.runs();
+    const std::size_t perRun = (order.points() + order.runs() - 1) / order.runs();
     base::parallelRanges(std::size_t(0), order.runs(),
                          std::max(kPointsPerTask / perRun, std::size_t(1)), answer);
 }

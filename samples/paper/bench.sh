@@ -145,10 +145,13 @@ methods() {
     fur) resolutions="256, $resolutions" near='"none", "auto"' further="4096" ;;
     cards) resolutions="256, $resolutions" near='"none", "auto"' ;;
     smoke) resolutions="64, 128, 256, 512" ;; # of 128 x 128 x 128 voxels
-    giant-*) resolutions="512, 2048" near='"none", "512M"' paper=2048 embree="1, 4, 16, 64, 256" ;;
+    giant-*) resolutions="2048, 512" near='"none", "512M"' paper=2048 embree="1, 4, 16, 64, 256" ;;
     esac
     if [ -n "$quick" ]; then
-        resolutions=${resolutions%, 2048} resolutions=${resolutions%, 512}
+        case $1 in
+        smoke) resolutions=${resolutions%, 512} ;;
+        *) resolutions=${resolutions%, 2048} ;;
+        esac
         [ "$further" != "4096, 8192" ] || further="2048, $further"
         [ "$further" != 4096 ] || further=""
         counts="1, 2, 4, 8, 16, 64, 256" embree="1, 4, 16, 64, 256"
@@ -209,8 +212,7 @@ for scene in "${scenes[@]}"; do
         # Times are those of all pixels: what is asked for a few again and again lies in
         # Embree's caches, and in small pictures neighbours share less of their way. Of the
         # giants' pictures a part is as many points.
-        measured=180000 truth="" suffix=$quick
-        pixels=0
+        measured=180000 pixels=0 truth="" suffix=$quick
         case $scene in giant-*) measured=20000 pixels=20000 ;; esac
         options=(--no-pictures --threads 1 --pixels "$pixels" --measured-pixels "$measured")
         if [ -n "$quick" ]; then

@@ -53,6 +53,13 @@ AreaLight lightOf(LightShape shape) {
     return light;
 }
 
+/// As wide as what it shines on.
+AreaLight largeLightOf(LightShape shape) {
+    AreaLight light = lightOf(shape);
+    light.radius = 1.6;
+    return light;
+}
+
 constexpr LightShape kShapes[] = {LightShape::point, LightShape::disk, LightShape::rect,
                                   LightShape::sphere, LightShape::sun};
 
@@ -381,8 +388,7 @@ TEST_CASE(
     "a pixel's mean is as good as the scalar trace's where its points have a ray each",
     "[shadow][statistical]") {
     // A large light, so that the ray of a point is alone in texels as wide as the light.
-    AreaLight light = lightOf(LightShape::disk);
-    light.radius = 1.6f;
+    const AreaLight light = largeLightOf(LightShape::disk);
     const ShadowMap map = mapOf(light, false);
     constexpr int kPerPixel = 16;
     Random random(5);
@@ -440,8 +446,7 @@ TEST_CASE("a sun without a size is answered as by the scalar trace",
 TEST_CASE(
     "a few rays to a large light are the same alone, in a batch and in a part of it",
     "[shadow][exact]") {
-    AreaLight light = lightOf(LightShape::sphere);
-    light.radius = 1.6;
+    const AreaLight light = largeLightOf(LightShape::sphere);
     const ShadowMap map = mapOf(light, false);
     Random random(6);
     const Points points = onBody(random, 1000);
