@@ -287,17 +287,25 @@ def f32(x):
         return math.inf
 
 
+def f32_of_upper(half):
+    """The f32 of which these are the upper 16 bits."""
+    return struct.unpack("<f", struct.pack("<I", half << 16))[0]
+
+
 # --- the file ----------------------------------------------------------------------------------
 
 MAGIC = b"\x89MTSM\r\n\x1a"
 FINISHED = b"MTSM END"
 HEADER = 32  # bytes of a block header
 TRAILER = 32
-KNOWN = {b"HEAD": 1, b"ATTR": 0, b"NEAR": 0, b"HAIR": 0, b"CARD": 0, b"HIER": 1, b"TOTL": 1}  # flags
+KNOWN = {b"HEAD": 1, b"ATTR": 0, b"NEAR": 0, b"HAIR": 0, b"CARD": 0, b"TREE": 0, b"HIER": 1,
+         b"TOTL": 1}  # flags
 MAX_SIDE = 32768
 MAX_PIXEL_LAYERS = 1 << 20
 MAX_DIRECTORY = 65536
 MAX_PART_CHUNKS = 4096
+TREE_PART_BYTES = 1 << 18
+GROUP_COLUMNS = ["4f", "4H", "4H", "4H", "4H", "4H", "4H", "4f", "4f", "4H", "4I", "4I", "4B", "4B"]
 HAS_V, HAS_N = 1, 2
 
 
@@ -415,7 +423,7 @@ class File:
         kinds = [entry[0] for entry in self.directory]
         for kind in (b"HEAD", b"HIER", b"TOTL"):
             need(kinds.count(kind) == 1, "index: not one block %r" % kind)
-        for kind in (b"ATTR", b"NEAR", b"HAIR", b"CARD"):
+        for kind in (b"ATTR", b"NEAR", b"HAIR", b"CARD", b"TREE"):
             need(kinds.count(kind) <= 1, "index: more than one block %r" % kind)
         need(kinds[0] == b"HEAD" and self.directory[0][2] == 64,
              "index: block HEAD is not the first")
@@ -449,11 +457,12 @@ class File:
         readers = {b"HEAD": self.read_head, b"ATTR": self.read_attributes,
                    b"TOTL": self.read_totals, b"HIER": self.read_hierarchy,
                    b"NEAR": self.read_near, b"HAIR": self.read_hair,
-                   b"CARD": self.read_cards}
+                   b"CARD": self.read_cards, b"TREE": self.read_trees}
         self.out["attributes"] = []
         self.out["nearField"] = [[] for _ in range(self.faces)]
         self.out["nearHair"] = [[] for _ in range(self.faces)]
         self.out["nearSheets"] = None
+        self.out["trees"] = None
         for kind, flags, offset, length, payload_checksum in self.directory:
             name = "block %s" % kind.decode("latin-1")
             payload = self.block(name, kind, flags, offset, length, payload_checksum)
@@ -740,6 +749,176 @@ class File:
             chunks.append(dict(low=low, step=step, corner=q))
         need(at == points, "%s: points that no corner names" % part.what)
         return chunks
+
+    # S 7.5
+    def read_trees(self, c):
+        if c.fields("I") != 1:
+            return
+        kind, faces = c.fields("II")
+        c.zeros(4)
+        patches = all(planes & HAS_V == 0 for _, _, _, planes, _ in self.tiles)
+        need(kind == (0 if patches else 1), "%s: trees of kind %d" % (c.what, kind))
+        need(faces == self.faces, "%s: %d faces" % (c.what, faces))
+        need(1 <= sum(entry[2] for entry in self.tiles) <= 1 << 28,
+             "%s: trees of a map that has none" % c.what)
+        sizes = []  # of the arrays to come: records, and the columns of one
+        records = [(self.patch_record if patches else self.density_record)(c, sizes)
+                   for _ in range(faces)]
+        need(sum(n * sum(struct.calcsize("<" + form) for form in columns)
+                 for n, columns in sizes) <= self.max_bytes, "larger trees than --max-bytes allows")
+        arrays = iter(self.tree_arrays(c, sizes))
+        take = self.patch_tree if patches else self.density_tree
+        self.out["trees"] = [take(record, arrays, "%s, face %d" % (c.what, face))
+                             for face, record in enumerate(records)]
+
+    @staticmethod
+    def tree_arrays(c, sizes):
+        """Yields each array as a list of its columns, each a list of numbers."""
+        parts = []
+        for a, (n, columns) in enumerate(sizes):
+            size = sum(struct.calcsize("<" + form) for form in columns)
+            each = TREE_PART_BYTES // size
+            parts += [(a, min(each, n - first), size) for first in range(0, n, each)]
+        lengths = [c.fields("I") for _ in parts]
+        arrays = [[[] for _ in columns] for _, columns in sizes]
+        for i, ((a, n, size), stored) in enumerate(zip(parts, lengths)):
+            need(1 <= stored <= n * size, "%s, part %d: stores %d bytes" % (c.what, i, stored))
+            data = c.bytes(stored)
+            if stored < n * size:
+                try:
+                    data = decompress(data, n * size)
+                except Bad as error:
+                    raise Bad("%s, part %d: %s" % (c.what, i, error))
+            part = Cursor(data, c.what)
+            for column, form in zip(arrays[a], sizes[a][1]):
+                count = struct.calcsize("<" + form) // struct.calcsize("<" + form[-1])
+                column += File.shuffled(part, n * count, form[-1])
+        c.end()
+        return arrays
+
+    def patch_record(self, c, sizes):
+        groups, covers, lowest, highest, piece_size = c.fields("QQfff")
+        c.zeros(4)
+        need(groups < 1 << 28 and 16 <= covers < 1 << 32,
+             "%s: %d groups, %d rows of texels" % (c.what, groups, covers))
+        need(groups == 0 or all(map(math.isfinite, (lowest, highest, piece_size))),
+             "%s: a range or a size of pieces" % c.what)
+        levels, side = [], 16
+        while not levels or levels[-1] > 1:
+            levels.append(-(-self.width // side) * -(-self.height // side))
+            side *= 2
+        if len(levels) > 1:
+            levels[0] = 0
+        sizes += [(sum(levels), ["I", "I"]), (groups, GROUP_COLUMNS), (covers, ["H"])]
+        return dict(levels=levels, lowest=lowest, highest=highest, pieceSize=piece_size)
+
+    @staticmethod
+    def patch_tree(tree, arrays, what):
+        group, groups_and_slots = next(arrays)
+        columns, (covers,) = next(arrays), next(arrays)
+        count = len(columns[0]) // 4
+        names = ("w", "above", "below", "u0", "v0", "u1", "v1", "gradientU", "gradientV",
+                 "residual", "children", "cover", "childGroups", "kind")
+        tree.update(zip(names, columns))
+        tree["covers"] = covers
+        tree["tiles"] = [(g, n & (1 << 28) - 1, n >> 28) for g, n in zip(group, groups_and_slots)]
+        half = [[f32_of_upper(x) for x in tree[name]] for name in ("above", "below", "residual")]
+
+        def patches(first, groups, slots, where):
+            need(groups == 0 or first + groups <= count, "%s: %s: a list of what is not there"
+                 % (what, where))
+            for k in range(groups):
+                for slot in range(4):
+                    if k + 1 < groups or slots >> slot & 1:
+                        yield 4 * (first + k) + slot
+
+        def square(i):
+            side = 16
+            while side > 4 and all(tree[a][i] // (side // 2) == (tree[b][i] - 1) // (side // 2)
+                                   for a, b in (("u0", "u1"), ("v0", "v1"))):
+                side //= 2
+            return side
+
+        in_tile, below_tile, below_child = set(), set(), set()
+        for t, tile in enumerate(tree["tiles"]):
+            for i in patches(*tile, "tile %d" % t):
+                need(i not in in_tile, "%s: a patch in two lists" % what)
+                in_tile.add(i)
+        for i in range(4 * count):
+            if half[0][i] == -math.inf:
+                continue
+            where = "patch %d" % i
+            numbers = [tree[name][i] for name in ("w", "gradientU", "gradientV")]
+            need(all(map(math.isfinite, numbers + [h[i] for h in half])),
+                 "%s: %s: not finite" % (what, where))
+            level = tree["kind"][i] & 31
+            need(level < len(tree["levels"]), "%s: %s: level %d" % (what, where, level))
+            side = 16 << level
+            for a, b in (("u0", "u1"), ("v0", "v1")):
+                low, high = tree[a][i], tree[b][i]
+                need(low < high and low // side == (high - 1) // side,
+                     "%s: %s: a box not in a tile" % (what, where))
+            shared, bumpy = tree["kind"][i] & 32, tree["kind"][i] & 128
+            need(not bumpy or (level == 0 and square(i) == 4), "%s: %s: bumpy" % (what, where))
+            rows = 4 * ((tree["v1"][i] - tree["v0"][i]) >> level) if shared else 0
+            need(tree["cover"][i] + rows + 16 <= len(covers), "%s: %s: rows" % (what, where))
+            known = below_tile if i in in_tile else below_child
+            children = tree["children"][i]
+            for child in patches(children & (1 << 28) - 1, tree["childGroups"][i], children >> 28,
+                                 where):
+                need(child not in in_tile and child not in known,
+                     "%s: %s: a child in two lists" % (what, where))
+                known.add(child)
+                lower = tree["kind"][child] & 31
+                need(half[0][child] == -math.inf or lower < level or
+                     (lower == level == 0 and square(child) < square(i)),
+                     "%s: %s: a child that is no smaller" % (what, where))
+        return tree
+
+    def density_record(self, c, sizes):
+        levels = [(self.width, self.height)]
+        while levels[-1] != (1, 1):
+            levels.append(tuple((n + 1) // 2 for n in levels[-1]))
+        beside = self.faces == 1 and any(entry[0] in (b"HAIR", b"CARD") for entry in self.directory)
+        levels = levels[min(len(levels) - 1, 1 if beside else 0):]
+        result = []
+        for name in ("media", "sheets"):
+            present, low, high = c.fields("Iff")
+            c.zeros(4)
+            need(present <= 1 and (low < high and math.isfinite(low) and math.isfinite(high)
+                                   if present else True), "%s: %s: a pyramid" % (c.what, name))
+            need(not present or name == "sheets" or self.out["visibilityRule"] == 1,
+                 "%s: media in a map of sheets" % c.what)
+            pyramid = dict(low=low, high=high, levels=[]) if present else None
+            texels = []
+            for w, h in levels if present else []:
+                words, base, step = c.fields("Qff")
+                need(words < 1 << 32 and math.isfinite(base) and 0 < step < math.inf,
+                     "%s: %s: a level" % (c.what, name))
+                pyramid["levels"].append(dict(words=words, base=base, step=step))
+                texels.append(-(-w // 8) * -(-h // 8) * 64)
+            result.append((pyramid, texels))
+            if present:
+                sizes += [(sum(texels), ["I", "I"])]
+                sizes += [(level["words"], ["I"]) for level in pyramid["levels"]]
+        return result
+
+    @staticmethod
+    def density_tree(record, arrays, what):
+        for pyramid, texels in record:
+            if pyramid is None:
+                continue
+            (ranges, words), at = next(arrays), 0
+            for level, count in zip(pyramid["levels"], texels):
+                level["range"], level["begin"], begin = ranges[at:at + count], [], 0
+                for n in words[at:at + count]:
+                    level["begin"].append(begin)
+                    begin += n
+                need(begin == level["words"], "%s: lists of %d words of %d"
+                     % (what, begin, level["words"]))
+                (level["slabs"],) = next(arrays)
+                at += count
+        return dict(media=record[0][0], sheets=record[1][0])
 
     # S 6
     def tile_place(self, i):

@@ -16,7 +16,7 @@ MAY_INCLUDE = {
     "light": {"base"},
     "scene": {"base"},
     "raster": {"base", "map", "scene"},
-    "format": {"base", "map"},
+    "format": {"base", "map", "trace"},
     "trace": {"base", "map"},
     "shadow": {"base", "map", "light", "trace"},
     "bake": {"base", "map", "light", "scene", "raster", "compress"},

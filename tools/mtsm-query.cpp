@@ -843,6 +843,7 @@ bool anySurface(const Receivers& r) {
 /// than a second or two before it does.
 void makeReady(const ShadowOptions& options, ShadowMap& map, Talk& talk) {
     if (options.method != ShadowMethod::trace) return;
+    if (!map.hasLayers()) return;  // its trees came with it
     const MapInfo& info = map.info();
     const std::uint64_t pixels =
         std::uint64_t(info.width) * info.height * map.faceCount();
@@ -901,6 +902,23 @@ void runPoints(const Arguments& a, const CLI::App& app, Kind kind, ShadowMap& ma
     report(a, kind, r, results, talk);
 }
 
+/// What of the map these queries go through. If only its trees are of no use, others are
+/// made.
+ShadowMap readFor(Kind kind, const Arguments& a, Talk& talk) {
+    ReadLimits limits = readLimits(a.maxMemory);
+    limits.nearField = !a.noNearField;
+    limits.layers = kind == Kind::rays || attenuation(a) != Attenuation::multiply ||
+                    ShadowMethod(a.method.value_or(0)) != ShadowMethod::trace;
+    Result<ShadowMap> map = readMap(a.map, limits);
+    if (map) return *std::move(map);
+    ReadLimits without = limits;
+    without.trees = false;
+    Result<ShadowMap> other = readMap(a.map, without);
+    if (!other) throw mapFailure(map.error(), a.map, limits);
+    talk.warn(map.error().message + "; now trees are made of the layers");
+    return *std::move(other);
+}
+
 void run(const Arguments& a, const CLI::App& app, Talk& talk) {
     talk.setQuiet(a.quiet);
     const Kind kind = inputKind(a);
@@ -908,9 +926,7 @@ void run(const Arguments& a, const CLI::App& app, Talk& talk) {
     if (!a.output.empty())
         checkOutput(a.output,
                     {a.map, a.pointsFile, a.raysFile, a.positionFile, a.normalFile});
-    ReadLimits limits = readLimits(a.maxMemory);
-    limits.nearField = !a.noNearField;
-    ShadowMap map = unwrapMap(readMap(a.map, limits), a.map, limits);
+    ShadowMap map = readFor(kind, a, talk);
     if (kind == Kind::rays)
         runRays(a, map, talk);
     else

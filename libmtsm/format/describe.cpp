@@ -118,7 +118,9 @@ Result<Description> describeFile(const std::string& path, const ReadLimits& limi
     const auto source = openFile(path);
     if (!source) return source.error();
     FileFacts facts;
-    const auto map = readMapFile(**source, limits, &facts);
+    ReadLimits all = limits;
+    all.layers = true;
+    const auto map = readMapFile(**source, all, &facts);
     if (!map) return map.error();
 
     Description d;

@@ -40,6 +40,13 @@ bool sameBits(DepthRange a, ZRange b) {
     return bits(a.min) == bits(b.min) && bits(a.max) == bits(b.max);
 }
 
+Status checkFixed(const HierarchyFixed& fixed, std::uint32_t faces,
+                  HierarchyShape shape) {
+    if (fixed.faces == faces && fixed.levels == shape.levels()) return {};
+    return makeError(ErrorCode::badFile, "says ", fixed.faces, " faces and ",
+                     fixed.levels, " levels, not ", faces, " and ", shape.levels());
+}
+
 }  // namespace
 
 std::uint32_t HierarchyShape::levels() const noexcept {
@@ -77,11 +84,8 @@ Bytes encodeHierarchy(const ShadowMap& map) {
 Status checkHierarchy(BytesView payload, const ShadowMap& map) {
     const HierarchyShape shape{map.tilesX(), map.tilesY()};
     base::ByteReader in(payload);
-    const auto fixed = in.get<HierarchyFixed>();
-    if (fixed.faces != map.faceCount() || fixed.levels != shape.levels())
-        return makeError(ErrorCode::badFile, "says ", fixed.faces, " faces and ",
-                         fixed.levels, " levels, not ", map.faceCount(), " and ",
-                         shape.levels());
+    if (auto s = checkFixed(in.get<HierarchyFixed>(), map.faceCount(), shape); !s)
+        return s;
     Status status;
     forEachNode(map, [&](auto face, auto level, auto x, auto y, ZRange z) {
         const auto stored = in.get<DepthRange>();
@@ -93,6 +97,20 @@ Status checkHierarchy(BytesView payload, const ShadowMap& map) {
         return false;
     });
     return status;
+}
+
+Result<std::vector<ZRange>> hierarchyRoots(BytesView payload, std::uint32_t faces,
+                                           HierarchyShape shape) {
+    base::ByteReader in(payload);
+    if (auto s = checkFixed(in.get<HierarchyFixed>(), faces, shape); !s) return s.error();
+    const std::uint64_t perFace = (shape.bytes(faces) - sizeof(HierarchyFixed)) / faces;
+    std::vector<ZRange> roots;
+    for (std::uint32_t face = 0; face < faces; ++face) {
+        (void)in.bytes(perFace - sizeof(DepthRange));
+        const auto z = in.get<DepthRange>();
+        roots.push_back({z.min, z.max});
+    }
+    return roots;
 }
 
 }  // namespace mtsm::format

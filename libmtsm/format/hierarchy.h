@@ -22,4 +22,9 @@ struct HierarchyShape {
 /// Succeeds if the payload is, to the last bit, what the layers of `map` give.
 Status checkHierarchy(BytesView payload, const ShadowMap& map);
 
+/// By face, what the payload says that all its layers lie between, for a map whose layers
+/// nobody reads.
+Result<std::vector<ZRange>> hierarchyRoots(BytesView payload, std::uint32_t faces,
+                                           HierarchyShape shape);
+
 }  // namespace mtsm::format

@@ -44,12 +44,6 @@ std::uint64_t decodedBytes(const TileFacts& facts) {
     return 4 * numbers;
 }
 
-Error overMemory(std::uint64_t needed, const ReadLimits& limits) {
-    return makeError(ErrorCode::tooLarge, "takes at least ", needed,
-                     " bytes to decode, more than the ", limits.maxBytes,
-                     " that ReadLimits::maxBytes allows");
-}
-
 /// What the threads take at most while they decode tiles, each of the largest ones.
 std::uint64_t workBytes(const Index& index, const TileGrid& grid) {
     std::uint64_t largest = 0, tiles = 0;
@@ -77,6 +71,21 @@ Status checkExtent(std::uint64_t offset, std::uint64_t length, std::uint64_t end
 }
 
 }  // namespace
+
+bool mayGoWithoutLayers(const Index& index, const ReadLimits& limits) noexcept {
+    bool hasTree = false, hasNear = false;
+    for (const DirectoryEntry& entry : index.blocks) {
+        hasTree |= entry.type == kTree;
+        hasNear |= isOfNearField(entry.type);
+    }
+    return !limits.layers && limits.trees && hasTree && (limits.nearField || !hasNear);
+}
+
+Error overMemory(std::uint64_t needed, const ReadLimits& limits) {
+    return makeError(ErrorCode::tooLarge, "takes at least ", needed,
+                     " bytes to decode, more than the ", limits.maxBytes,
+                     " that ReadLimits::maxBytes allows");
+}
 
 // --- tiles of a map
 // ------------------------------------------------------------------------
@@ -211,8 +220,7 @@ Result<Index> splitIndex(BytesView payload, const Prefix& prefix) {
 }
 
 bool isKnown(BlockType type) {
-    return type == kHead || type == kAttr || isOfNearField(type) || type == kHier ||
-           type == kTotl;
+    return type == kHead || isAncillary(type) || type == kHier || type == kTotl;
 }
 
 Status checkDirectory(const Index& index, const Prefix& prefix, std::uint64_t indexOffset,
@@ -239,15 +247,15 @@ Status checkDirectory(const Index& index, const Prefix& prefix, std::uint64_t in
                              kVersionMajor, ".", kVersionMinor,
                              ": a newer libmtsm is needed");
         }
-        if ((e.flags == kCritical) != (e.type != kAttr && !isOfNearField(e.type)))
+        if ((e.flags == kCritical) == isAncillary(e.type))
             return bad(at, "flags ", e.flags, " are not those of its type");
-        if (e.type != kHier && !isOfNearField(e.type)) texts += e.length;
+        if (e.type == kHead || e.type == kAttr || e.type == kTotl) texts += e.length;
     }
     for (BlockType type : {kHead, kHier, kTotl}) {
         if (named(type) != 1)
             return bad(named(type), " blocks ", text(type), ", there must be one");
     }
-    for (BlockType type : {kAttr, kNear, kHair, kCard}) {
+    for (BlockType type : {kAttr, kNear, kHair, kCard, kTree}) {
         if (named(type) > 1)
             return bad(named(type), " blocks ", text(type), ", there may be one");
     }
@@ -332,22 +340,27 @@ Result<Index> decodeIndex(BytesView payload, const Prefix& prefix,
     if (auto s = checkDirectory(*index, prefix, indexOffset, limits); !s)
         return s.error();
     const TileGrid grid(prefix);
-    std::uint64_t memory = frameBytes(prefix);
+    const bool tilesCount = !mayGoWithoutLayers(*index, limits);
+    std::uint64_t memory = frameBytes(prefix), tileMemory = 0;
     for (std::uint64_t i = 0; i < index->tiles.size(); ++i) {
         const TileEntry& entry = index->tiles[i];
         const TileFacts facts = grid.facts(i, entry);
         if (auto s = checkTileEntry(entry, facts, indexOffset); !s)
             return bad(facts.place.text(), ": ", s.error().message);
-        if (entry.offset) memory += decodedBytes(facts);
-        if (memory > limits.maxBytes) return overMemory(memory, limits);
+        if (entry.offset) tileMemory += decodedBytes(facts);
+        if (tilesCount && memory + tileMemory > limits.maxBytes)
+            return overMemory(memory + tileMemory, limits);
     }
-    memory += workBytes(*index, grid);
+    tileMemory += workBytes(*index, grid);
     for (const DirectoryEntry& entry : index->blocks) {
-        if (isOfNearField(entry.type) && limits.nearField)
+        if ((isOfNearField(entry.type) && limits.nearField) ||
+            (entry.type == kTree && limits.trees))
             memory += blockSpan(entry.length);
     }
-    if (memory > limits.maxBytes) return overMemory(memory, limits);
+    const std::uint64_t needed = memory + (tilesCount ? tileMemory : 0);
+    if (needed > limits.maxBytes) return overMemory(needed, limits);
     index->memory = memory;
+    index->tileMemory = tileMemory;
     if (auto s = checkCoverage(*index, grid, indexOffset); !s) return s.error();
     return index;
 }

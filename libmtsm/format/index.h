@@ -12,7 +12,9 @@ namespace mtsm::format {
 struct Index {
     std::vector<DirectoryEntry> blocks;  ///< neither TILE nor INDX, in the file's order
     std::vector<TileEntry> tiles;        ///< [face][ty][tx]
-    std::uint64_t memory = 0;  ///< bytes granted for all but what NEAR holds; not stored
+    // Not stored: bytes granted for all but layers and what NEAR, HAIR, CARD and TREE
+    // hold; for layers and the work of reading them.
+    std::uint64_t memory = 0, tileMemory = 0;
 };
 
 /// Tiles of a map, from its prefix alone.
@@ -45,9 +47,17 @@ Status checkLimits(const Prefix& prefix, const ReadLimits& limits);
 /// Bytes that the INDX payload may take at most.
 [[nodiscard]] std::uint64_t mostIndexBytes(const Prefix& prefix) noexcept;
 
+/// May the map be read without its layers? If the trees in the file are good for that.
+[[nodiscard]] bool mayGoWithoutLayers(const Index& index,
+                                      const ReadLimits& limits) noexcept;
+
+/// The error, tooLarge, of a map that takes so many bytes.
+[[nodiscard]] Error overMemory(std::uint64_t needed, const ReadLimits& limits);
+
 /// Checks every entry by itself, that all blocks together cover the file from the prefix
 /// to `indexOffset` without gap or overlap, that each block that must be there is there
-/// once, and that what the tiles decode to keeps within the limits. Errors: badFile,
+/// once, and that what the tiles decode to keeps within the limits, if they have to be
+/// decoded. Errors: badFile,
 /// unsupported, tooLarge.
 Result<Index> decodeIndex(BytesView payload, const Prefix& prefix,
                           std::uint64_t indexOffset, const ReadLimits& limits);

@@ -1,6 +1,6 @@
 // layout.h - every field, constant and limit of the MTSM file format 1.0, and no logic.
 //
-//     prefix | HEAD [ATTR] TILE... [NEAR] [HAIR] [CARD] HIER TOTL INDX | trailer
+//     prefix | HEAD [ATTR] TILE... [NEAR] [HAIR] [CARD] [TREE] HIER TOTL INDX | trailer
 //
 // What the fields mean and what a reader checks is said in format-spec/mtsm-format.md;
 // the names here are the names there. All numbers are little-endian, all floats IEEE 754.
@@ -63,6 +63,7 @@ inline constexpr BlockType kTile = {'T', 'I', 'L', 'E'};  ///< the layers of one
 inline constexpr BlockType kNear = {'N', 'E', 'A', 'R'};  ///< triangles beside the layers
 inline constexpr BlockType kHair = {'H', 'A', 'I', 'R'};  ///< strands beside the layers
 inline constexpr BlockType kCard = {'C', 'A', 'R', 'D'};  ///< sheets beside the layers
+inline constexpr BlockType kTree = {'T', 'R', 'E', 'E'};  ///< what queries go through
 inline constexpr BlockType kHier = {'H', 'I', 'E', 'R'};  ///< min/max z above the tiles
 inline constexpr BlockType kTotl = {'T', 'O', 'T', 'L'};  ///< what is known at the end
 inline constexpr BlockType kIndx = {'I', 'N', 'D', 'X'};  ///< where everything lies
@@ -72,6 +73,11 @@ constexpr bool isOfNearField(BlockType type) {
 }
 
 inline constexpr std::uint32_t kCritical = 1;  ///< BlockHeader::flags; the rest are 0
+
+/// Is a reader that knows the type free to pass it over?
+constexpr bool isAncillary(BlockType type) {
+    return type == kAttr || type == kTree || isOfNearField(type);
+}
 
 /// Before each payload; zeros fill up to a multiple of 8 behind it.
 struct BlockHeader {
@@ -231,6 +237,52 @@ struct CardTexture {
     std::uint64_t storedLength;
 };
 static_assert(sizeof(CardTexture) == 32);
+
+// --- TREE
+// ----------------------------------------------------------------------------------
+
+/// Another number where a tree is made or followed in another way: readers then make
+/// their own.
+inline constexpr std::uint32_t kTreeRevision = 1;
+inline constexpr std::uint32_t kTreePartBytes = 1u << 18;
+
+enum class TreeKind : std::uint32_t { patches = 0, densities = 1 };
+
+/// Start of the payload. By face a PatchTreeRecord, or for media and for sheets a
+/// PyramidRecord and, if it is present, a DensityLevelRecord for each level from the
+/// finest on; then a u32 for each part of each array, its stored length; then the parts.
+struct TreeFixed {
+    std::uint32_t revision;
+    std::uint32_t kind;
+    std::uint32_t faces;
+    std::uint32_t reserved;  ///< 0
+};
+static_assert(sizeof(TreeFixed) == 16);
+
+struct PatchTreeRecord {
+    std::uint64_t groups;
+    std::uint64_t covers;
+    float lowest;
+    float highest;
+    float pieceSize;
+    std::uint32_t reserved;  ///< 0
+};
+static_assert(sizeof(PatchTreeRecord) == 32);
+
+struct PyramidRecord {
+    std::uint32_t present;  ///< 0 or 1
+    float low;
+    float high;
+    std::uint32_t reserved;  ///< 0
+};
+static_assert(sizeof(PyramidRecord) == 16);
+
+struct DensityLevelRecord {
+    std::uint64_t words;
+    float base;
+    float step;
+};
+static_assert(sizeof(DensityLevelRecord) == 16);
 
 // --- TOTL
 // ----------------------------------------------------------------------------------

@@ -23,6 +23,7 @@
 #include "format/hierarchy.h"
 #include "format/map_file.h"
 #include "format/near_block.h"
+#include "format/tree_block.h"
 
 namespace mtsm {
 namespace format {
@@ -155,7 +156,9 @@ struct Frame {
     std::vector<MapFace> faces;
     Totals totals = {};
     Bytes hierarchy;
-    std::uint64_t hierarchyOffset = 0, totalsOffset = 0;
+    Bytes treeBlock;
+    BytesView trees;  ///< the payload of TREE, if they are wanted and known
+    std::uint64_t hierarchyOffset = 0, totalsOffset = 0, treesOffset = 0;
 
     /// That the near field takes so far.
     [[nodiscard]] std::uint64_t nearBytes() const {
@@ -168,16 +171,20 @@ struct Frame {
     }
 };
 
-/// `nearBytes`: that a near field may take; none if nobody wants one.
+/// What of the directory's blocks is wanted.
+struct Wanted {
+    std::optional<std::uint64_t> nearBytes;  ///< that a near field may take
+    bool trees = false;
+};
+
 Status readDirectoryBlock(const Source& source, const Prefix& prefix,
-                          const DirectoryEntry& entry,
-                          std::optional<std::uint64_t> nearBytes, Bytes& buffer,
-                          Frame& frame) {
-    const bool wanted = isOfNearField(entry.type) && nearBytes.has_value();
-    // Who does without it does so even where it is damaged.
-    if (isOfNearField(entry.type) && !wanted) return {};
-    if (entry.type != kHead && entry.type != kAttr && entry.type != kTotl &&
-        entry.type != kHier && !wanted)
+                          const DirectoryEntry& entry, const Wanted& wanted,
+                          Bytes& buffer, Frame& frame) {
+    // Who does without them does so even where they are damaged.
+    if (isOfNearField(entry.type) && !wanted.nearBytes) return {};
+    if (entry.type == kTree && !wanted.trees) return {};
+    if (entry.type != kHead && entry.type != kTotl && entry.type != kHier &&
+        !isAncillary(entry.type))
         return checkUnknownBlock(source, entry);
     const Result<BytesView> payload = readBlock(source, entry, buffer);
     if (!payload) return payload.error();
@@ -187,11 +194,16 @@ Status readDirectoryBlock(const Source& source, const Prefix& prefix,
         if (!attributes) return attributes.error();
         frame.info.attributes = *std::move(attributes);
     } else if (entry.type == kNear) {
-        return decodeNear(*payload, *nearBytes - frame.nearBytes(), frame.faces);
+        return decodeNear(*payload, *wanted.nearBytes - frame.nearBytes(), frame.faces);
     } else if (entry.type == kHair) {
-        return decodeHair(*payload, *nearBytes - frame.nearBytes(), frame.faces);
+        return decodeHair(*payload, *wanted.nearBytes - frame.nearBytes(), frame.faces);
     } else if (entry.type == kCard) {
-        return decodeSheets(*payload, *nearBytes - frame.nearBytes(), frame.faces);
+        return decodeSheets(*payload, *wanted.nearBytes - frame.nearBytes(), frame.faces);
+    } else if (entry.type == kTree) {
+        frame.treesOffset = entry.offset;
+        if (!hasKnownTrees(*payload)) return {};
+        frame.trees = *payload;
+        frame.treeBlock = std::move(buffer);  // which it points into
     } else if (entry.type == kTotl) {
         const auto totals = decodeTotals(*payload, prefix, frame.info);
         if (!totals) return totals.error();
@@ -273,6 +285,49 @@ Status readTiles(const Source& source, const Prefix& prefix, const Index& index,
 
 namespace {
 
+/// What the map's layers are, of which the index, HIER and TOTL tell.
+Result<ShadowMap::LayerFacts> layerFacts(const Index& index, const Prefix& prefix,
+                                         const Frame& frame) {
+    ShadowMap::LayerFacts facts;
+    for (const TileEntry& entry : index.tiles) {
+        facts.count += entry.layers;
+        facts.isOpaque = facts.isOpaque && !(entry.planes & kHasV);
+    }
+    const TileGrid grid(prefix);
+    const auto roots =
+        hierarchyRoots(frame.hierarchy, prefix.faces, {grid.tilesX, grid.tilesY});
+    if (!roots) return roots.error();
+    std::copy(roots->begin(), roots->end(), facts.ranges);
+    return facts;
+}
+
+/// The map of a frame, its layers read or, where its trees do, passed over.
+Result<ShadowMap> makeMap(const Source& source, const Prefix& prefix, const Index& index,
+                          const ReadLimits& limits, Frame& frame, FileFacts* facts) {
+    const std::string& name = source.name();
+    if (mayGoWithoutLayers(index, limits)) {
+        if (!frame.trees.empty()) {
+            const auto layers = layerFacts(index, prefix, frame);
+            if (!layers)
+                return located(layers.error(), name, ": ",
+                               blockName(kHier, frame.hierarchyOffset));
+            auto map = ShadowMap::createWithoutLayers(std::move(frame.info),
+                                                      std::move(frame.faces), *layers);
+            if (!map) return bad(name, ": ", map.error().message);
+            return map;
+        }
+        // It was thought that they would.
+        const std::uint64_t memory = index.memory + index.tileMemory + frame.nearBytes();
+        if (memory > limits.maxBytes)
+            return located(overMemory(memory, limits), name, ": ");
+    }
+    if (auto s = readTiles(source, prefix, index, frame.faces, facts); !s)
+        return s.error();
+    auto map = ShadowMap::create(std::move(frame.info), std::move(frame.faces));
+    if (!map) return bad(name, ": ", map.error().message);
+    return map;
+}
+
 /// Everything behind the prefix.
 Result<ShadowMap> readContent(const Source& source, const Prefix& prefix,
                               const ReadLimits& limits, FileFacts* facts) {
@@ -288,22 +343,34 @@ Result<ShadowMap> readContent(const Source& source, const Prefix& prefix,
     for (MapFace& face : frame.faces)
         face.tiles.resize(std::size_t(grid.tilesX) * grid.tilesY);
     Bytes buffer;
-    std::optional<std::uint64_t> nearBytes;
-    if (limits.nearField) nearBytes = limits.maxBytes - index->memory;
+    const std::uint64_t left =
+        limits.maxBytes - index->memory -
+        (mayGoWithoutLayers(*index, limits) ? 0 : index->tileMemory);
+    const bool hasNear =
+        std::any_of(index->blocks.begin(), index->blocks.end(),
+                    [](const DirectoryEntry& e) { return isOfNearField(e.type); });
+    Wanted wanted;
+    if (limits.nearField) wanted.nearBytes = left;
+    // Trees beside a near field are not those that queries without it go through.
+    wanted.trees = limits.trees && (limits.nearField || !hasNear);
     for (const DirectoryEntry& entry : index->blocks) {
-        if (auto s = readDirectoryBlock(source, prefix, entry, nearBytes, buffer, frame);
-            !s)
+        if (auto s = readDirectoryBlock(source, prefix, entry, wanted, buffer, frame); !s)
             return located(s.error(), name, ": ", blockName(entry.type, entry.offset));
     }
-    if (auto s = readTiles(source, prefix, *index, frame.faces, facts); !s)
-        return s.error();
-
-    auto map = ShadowMap::create(std::move(frame.info), std::move(frame.faces));
-    if (!map) return bad(name, ": ", map.error().message);
+    const std::uint64_t nearBytes = frame.nearBytes();
+    auto map = makeMap(source, prefix, *index, limits, frame, facts);
+    if (!map) return map;
     if (auto s = checkTotals(frame.totals, *map); !s)
         return located(s.error(), name, ": ", blockName(kTotl, frame.totalsOffset));
-    if (auto s = checkHierarchy(frame.hierarchy, *map); !s)
-        return located(s.error(), name, ": ", blockName(kHier, frame.hierarchyOffset));
+    if (map->hasLayers()) {
+        if (auto s = checkHierarchy(frame.hierarchy, *map); !s)
+            return located(s.error(), name, ": ",
+                           blockName(kHier, frame.hierarchyOffset));
+    }
+    if (!frame.trees.empty()) {
+        if (auto s = decodeTrees(frame.trees, left - nearBytes, *map); !s)
+            return located(s.error(), name, ": ", blockName(kTree, frame.treesOffset));
+    }
     if (facts) {
         facts->prefix = prefix;
         facts->index = *std::move(index);

@@ -23,6 +23,7 @@
 #include "format/near_block.h"
 #include "format/sink.h"
 #include "format/tile_encode.h"
+#include "format/tree_block.h"
 
 namespace mtsm {
 namespace format {
@@ -72,7 +73,7 @@ class MapWriter {
     Status run() {
         if (!map_.hasLayers())
             return makeError(ErrorCode::badArgument, "the map has no layers to write: ",
-                             "releaseLayers() let them go; write it before");
+                             "it was read without, or releaseLayers() let them go");
         const Result<Bytes> head = encodeHead(map_);
         if (!head) return head.error();
         const Result<Bytes> attributes = encodeAttributes(map_.info().attributes);
@@ -95,6 +96,12 @@ class MapWriter {
         if (hasNearSheets(map_)) {
             const Bytes cards = encodeSheets(map_, options_.codec, options_.level);
             if (auto s = putBlock(kCard, 0, cards); !s) return s;
+        }
+        if (options_.trees) {
+            const Bytes trees = encodeTrees(map_, options_.codec, options_.level);
+            if (!trees.empty()) {
+                if (auto s = putBlock(kTree, 0, trees); !s) return s;
+            }
         }
         if (auto s = putBlock(kHier, kCritical, encodeHierarchy(map_)); !s) return s;
         if (auto s = putBlock(kTotl, kCritical, encodeTotals(map_)); !s) return s;

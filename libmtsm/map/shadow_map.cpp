@@ -114,18 +114,14 @@ void dropSpare(MapFace& face) {
 
 Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
     ShadowMap map;
-    map.info_ = std::move(info);
-    map.faces_ = std::move(faces);
-    if (auto s = map.checkShape(); !s) return s.error();
-    const MapInfo& i = map.info_;
-    map.tilesX_ = (i.width + i.tileSize - 1) / i.tileSize;
-    map.tilesY_ = (i.height + i.tileSize - 1) / i.tileSize;
-    map.tileShift_ = static_cast<std::uint32_t>(std::countr_zero(i.tileSize));
+    if (auto s = map.setShape(std::move(info), std::move(faces)); !s) return s.error();
     if (auto s = map.checkTiles(); !s) return s.error();
     for (const MapFace& face : map.faces_) {
         for (const Tile& t : face.tiles) {
             map.layerCount_ += t.z.size();
-            map.isOpaque_ = map.isOpaque_ && t.v.empty();
+            map.isOpaque_ =
+                map.isOpaque_ &&
+                std::all_of(t.v.begin(), t.v.end(), [](float v) { return v == 0.0f; });
         }
     }
     for (MapFace& face : map.faces_)
@@ -133,12 +129,48 @@ Result<ShadowMap> ShadowMap::create(MapInfo info, std::vector<MapFace> faces) {
     map.buildHierarchy();
     for (std::uint32_t face = 0; face < map.faceCount(); ++face)
         map.faceRanges_[face] = map.zRange(face, map.levels_ - 1, 0, 0);
-    map.queryData_ = std::make_shared<base::Lazy>();
-    for (MapFace& face : map.faces_) {
+    map.finish();
+    return map;
+}
+
+Result<ShadowMap> ShadowMap::createWithoutLayers(MapInfo info, std::vector<MapFace> faces,
+                                                 const LayerFacts& layers) {
+    ShadowMap map;
+    if (auto s = map.setShape(std::move(info), std::move(faces)); !s) return s.error();
+    map.layerCount_ = layers.count;
+    map.isOpaque_ = layers.isOpaque;
+    for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
+        const ZRange& z = map.faceRanges_[face] = layers.ranges[face];
+        if (!z.empty() && !(z.min > 0.0f && std::isfinite(z.max)))
+            return invalid("face ", face, ": depths from ", z.min, " to ", z.max,
+                           " are not finite and positive");
+    }
+    for (MapFace& face : map.faces_)
+        dropSpare(face);
+    map.finish();
+    map.dropLayers();
+    return map;
+}
+
+Status ShadowMap::setShape(MapInfo info, std::vector<MapFace> faces) {
+    info_ = std::move(info);
+    faces_ = std::move(faces);
+    if (auto s = checkShape(); !s) return s;
+    tilesX_ = (info_.width + info_.tileSize - 1) / info_.tileSize;
+    tilesY_ = (info_.height + info_.tileSize - 1) / info_.tileSize;
+    tileShift_ = static_cast<std::uint32_t>(std::countr_zero(info_.tileSize));
+    const std::uint32_t side = std::max(info_.width, info_.height);
+    levels_ = static_cast<std::uint32_t>(std::bit_width(side - 1)) + 1;
+    return {};
+}
+
+/// What queries need beside layers or trees.
+void ShadowMap::finish() {
+    queryData_ = std::make_shared<base::Lazy>();
+    for (MapFace& face : faces_) {
         map_detail::buildBoxes(face);
         map_detail::buildSheets(face.nearSheets);
     }
-    return map;
 }
 
 /// Everything but the tiles' content.
@@ -329,8 +361,6 @@ void ShadowMap::dropLayers() noexcept {
 /// Each level halves the one below, rounding up; a node holds what its up to four
 /// children hold.
 void ShadowMap::buildHierarchy() {
-    const std::uint32_t side = info_.width > info_.height ? info_.width : info_.height;
-    levels_ = static_cast<std::uint32_t>(std::bit_width(side - 1)) + 1;
     hierarchy_.resize(faces_.size());
     for (std::uint32_t face = 0; face < faceCount(); ++face) {
         std::uint32_t width = info_.width, height = info_.height;

@@ -12,13 +12,8 @@ namespace mtsm::shadow {
 /// halve the error next to receivers and cost little (tests/bench/NOTES.md).
 inline constexpr double kNearDepth = 32.0;
 
-/// Trees count in 32 bits, and a layer takes several of what they count.
-inline constexpr std::uint64_t kMostLayers = std::uint64_t(1) << 28;
-
-/// Does a map have what trees can be made of? It has layers, not too many, and one face
-/// or six that share out space with windows of 90 degrees.
-[[nodiscard]] bool fitsTrees(const ShadowMap& map);
-/// Can rays go through trees over the map's layers? It fits them, and there is memory.
+/// Can rays go through trees over the map's layers? It fits them (trace/fits_trees.h),
+/// and there is memory.
 /// Makes the trees.
 [[nodiscard]] bool hasTrees(const ShadowMap& map, Attenuation attenuation,
                             trace::DensityUse use);

@@ -20,6 +20,7 @@
 #include "shadow/ray_query.h"
 #include "shadow/receiver_order.h"
 #include "trace/density_tree.h"
+#include "trace/fits_trees.h"
 #include "trace/patch_tree.h"
 
 namespace mtsm {
@@ -453,12 +454,12 @@ Status releaseLayers(ShadowMap& map) noexcept {
     if (!map.hasLayers() || map.layerCount() == 0) return {};
     std::shared_ptr<base::Lazy> queryData;
     try {
-        if (!shadow::fitsTrees(map))
+        if (!trace::fitsTrees(map))
             return makeError(ErrorCode::unsupported, "queries of a map with ",
                              map.layerCount(), " layers in ", map.faceCount(),
                              " faces go through its layers, which stay: they can go of "
                              "maps with at most ",
-                             shadow::kMostLayers,
+                             trace::kMostLayers,
                              " layers and one face or the six of a cube");
         if (!hasTrees(map))
             return makeError(ErrorCode::tooLarge, "not enough memory for the trees over ",

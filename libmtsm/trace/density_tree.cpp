@@ -395,7 +395,7 @@ bool assemble(std::vector<Rows>& tasks, DensityLevel& level) {
     }
     if (first.back() > std::numeric_limits<std::uint32_t>::max() - kLanes) return false;
     if (low < high) setSteps(low, high, level);
-    level.texels.resize(std::size_t(level.tilesX()) * level.tilesY() * 64 + 1);
+    level.texels.resize(level.texelCount() + 1);
     level.texels.back().begin = std::uint32_t(first.back());
     level.slabs.resize(first.back() + kLanes);
     base::parallelFor(std::size_t(0), tasks.size(), [&](std::size_t task) {
@@ -760,6 +760,10 @@ bool makePyramid(const ShadowMap& map, std::uint32_t face, Kind kind,
     return true;
 }
 
+bool isIndexable(const ShadowMap& map) {
+    return std::uint64_t(map.info().width) * map.info().height <= kMostTexels;
+}
+
 std::uint64_t bytesOf(const DensityPyramid& pyramid) {
     std::uint64_t bytes = 0;
     for (const DensityLevel& level : pyramid.levels)
@@ -770,23 +774,43 @@ std::uint64_t bytesOf(const DensityPyramid& pyramid) {
 
 }  // namespace
 
+std::vector<DensityLevel> DensityPyramid::levelsOf(std::uint32_t width,
+                                                   std::uint32_t height,
+                                                   std::uint32_t finest) {
+    std::vector<DensityLevel> levels;
+    for (;;) {
+        const bool isLast = width <= 1 && height <= 1;
+        DensityLevel& level = levels.emplace_back();
+        if (levels.size() > finest || isLast) {
+            level.width = width;
+            level.height = height;
+        }
+        if (isLast) return levels;
+        width = (width + 1) / 2;
+        height = (height + 1) / 2;
+    }
+}
+
+DensityTree::DensityTree(const ShadowMap& map, std::uint32_t face,
+                         const DensityOptions& options)
+    : projection_(map.projection(face)),
+      channels_(map.info().channels),
+      width_(map.info().width),
+      height_(map.info().height),
+      ofSheets_(map.info().translucent == Translucent::sheets) {
+    const std::uint32_t side = std::max(width_, height_);
+    finest_ = std::min(options.finest, std::uint32_t(std::bit_width(side - 1)));
+    coarsest_ = std::max(finest_,
+                         std::uint32_t(std::bit_width((side - 1) / options.leastAcross)));
+}
+
 Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
                                        const DensityOptions& options) {
-    DensityTree tree;
-    tree.projection_ = map.projection(face);
-    tree.channels_ = map.info().channels;
-    tree.ofSheets_ = map.info().translucent == Translucent::sheets;
-    tree.width_ = map.info().width;
-    tree.height_ = map.info().height;
-    const std::uint32_t side = std::max(tree.width_, tree.height_);
+    DensityTree tree(map, face, options);
     DensityOptions present = options;
-    present.finest = tree.finest_ =
-        std::min(options.finest, std::uint32_t(std::bit_width(side - 1)));
-    tree.coarsest_ = std::max(
-        tree.finest_, std::uint32_t(std::bit_width((side - 1) / options.leastAcross)));
-    const bool indexable = std::uint64_t(tree.width_) * tree.height_ <= kMostTexels;
+    present.finest = tree.finest_;
     const auto make = tree.channels_ == 3 ? makePyramid<3> : makePyramid<1>;
-    if (!indexable || !make(map, face, Kind::sheets, {}, present, tree.sheets_) ||
+    if (!isIndexable(map) || !make(map, face, Kind::sheets, {}, present, tree.sheets_) ||
         !make(map, face, Kind::media, tree.sheets_, present, tree.media_))
         return base::makeError(
             ErrorCode::tooLarge, "face ", face,
@@ -797,6 +821,56 @@ Result<DensityTree> DensityTree::build(const ShadowMap& map, std::uint32_t face,
         for (std::uint32_t i = 0; i < tree.finest_; ++i)
             pyramid->levels[i] = {};
     }
+    return tree;
+}
+
+namespace {
+
+Status checkLevel(const DensityLevel& level) {
+    if (!std::isfinite(level.base) || !(level.step > 0.0f) || !std::isfinite(level.step))
+        return base::makeError(ErrorCode::badFile, "ranges from ", level.base,
+                               " on in steps of ", level.step);
+    if (level.slabs.size() < kLanes)
+        return base::makeError(ErrorCode::badFile, "no room behind the slabs");
+    const std::uint64_t words = level.slabs.size() - kLanes;
+    std::uint32_t before = 0;
+    for (std::size_t i = 0; i < level.texels.size(); ++i) {
+        const std::uint32_t begin = level.texels[i].begin;
+        if (begin < before || begin > words)
+            return base::makeError(ErrorCode::badFile, "texel ", i, ": slabs from word ",
+                                   begin, " on, behind ", before, ", of ", words);
+        before = begin;
+    }
+    if (before != words)
+        return base::makeError(ErrorCode::badFile, "lists of ", before, " words, of ",
+                               words);
+    return {};
+}
+
+}  // namespace
+
+Result<DensityTree> DensityTree::restore(const ShadowMap& map, std::uint32_t face,
+                                         const DensityOptions& options,
+                                         DensityPyramid media, DensityPyramid sheets) {
+    DensityTree tree(map, face, options);
+    if (!isIndexable(map))
+        return base::makeError(ErrorCode::badFile, "a density tree of more than ",
+                               kMostTexels, " pixels");
+    for (const DensityPyramid* const pyramid : {&media, &sheets}) {
+        if (pyramid->empty()) continue;
+        if (!std::isfinite(pyramid->low) || !std::isfinite(pyramid->high))
+            return base::makeError(ErrorCode::badFile, "a pyramid of depths from ",
+                                   pyramid->low, " to ", pyramid->high);
+        for (std::size_t i = tree.finest_; i < pyramid->levels.size(); ++i) {
+            if (auto s = checkLevel(pyramid->levels[i]); !s)
+                return base::makeError(ErrorCode::badFile, "level ", i, ": ",
+                                       s.error().message);
+        }
+    }
+    if (tree.ofSheets_ && !media.empty())
+        return base::makeError(ErrorCode::badFile, "media in a map of sheets");
+    tree.media_ = std::move(media);
+    tree.sheets_ = std::move(sheets);
     return tree;
 }
 
@@ -845,12 +919,19 @@ const std::vector<DensityTree>* densityTrees(const ShadowMap& map, DensityUse us
     // Without layers there is nothing to make others from.
     const bool coarse =
         hasNearMedia(map) && (use == DensityUse::receivers || !map.hasLayers());
-    const Trees& trees = setsOf(map)[coarse].get<Trees>([&] {
-        DensityOptions options;
-        options.finest = coarse ? kFinestBesideNear : 0;
-        return buildAll(map, options);
-    });
+    const Trees& trees = setsOf(map)[coarse].get<Trees>(
+        [&] { return buildAll(map, coarse ? receiverOptions(map) : DensityOptions()); });
     return trees.empty() ? nullptr : &trees;
+}
+
+DensityOptions receiverOptions(const ShadowMap& map) noexcept {
+    DensityOptions options;
+    options.finest = hasNearMedia(map) ? kFinestBesideNear : 0;
+    return options;
+}
+
+void holdDensityTrees(const ShadowMap& map, std::vector<DensityTree> trees) {
+    setsOf(map)[hasNearMedia(map)].get<Trees>([&] { return std::move(trees); });
 }
 
 std::uint64_t densityTreeBytes(const ShadowMap& map) noexcept {

@@ -99,6 +99,9 @@ struct DensityLevel {
     [[nodiscard]] std::uint32_t tilesY() const noexcept {
         return (height + 7) >> kTileShift;
     }
+    [[nodiscard]] std::size_t texelCount() const noexcept {
+        return std::size_t(tilesX()) * tilesY() * 64;
+    }
     /// The number of a texel.
     [[nodiscard]] std::size_t at(std::uint32_t x, std::uint32_t y) const noexcept {
         const std::size_t tile =
@@ -121,6 +124,10 @@ struct DensityPyramid {
     std::vector<DensityLevel> levels;  ///< those below `finest` are empty
     float low = 0.0f, high = 0.0f;     ///< the w between which everything lies
     [[nodiscard]] bool empty() const noexcept { return !(low < high); }
+    /// The levels of a face of so many pixels, without texels and slabs.
+    [[nodiscard]] static std::vector<DensityLevel> levelsOf(std::uint32_t width,
+                                                            std::uint32_t height,
+                                                            std::uint32_t finest);
 };
 
 class DensityTree {
@@ -131,6 +138,16 @@ class DensityTree {
     [[nodiscard]] static Result<DensityTree> build(const ShadowMap& map,
                                                    std::uint32_t face,
                                                    const DensityOptions& options = {});
+
+    /// The tree of a face that was stored, and may have been made up; of each pyramid
+    /// that is not empty the levels are levelsOf() the face. Errors (badFile) say which
+    /// lists of slabs are not there. Whether it is the tree of the map's layers is not
+    /// asked.
+    [[nodiscard]] static Result<DensityTree> restore(const ShadowMap& map,
+                                                     std::uint32_t face,
+                                                     const DensityOptions& options,
+                                                     DensityPyramid media,
+                                                     DensityPyramid sheets);
 
     [[nodiscard]] const Projection& projection() const noexcept { return projection_; }
     [[nodiscard]] std::uint32_t channels() const noexcept { return channels_; }
@@ -145,7 +162,8 @@ class DensityTree {
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
 
   private:
-    DensityTree() = default;
+    /// All but the pyramids.
+    DensityTree(const ShadowMap& map, std::uint32_t face, const DensityOptions& options);
 
     Projection projection_;
     std::uint32_t channels_ = 1, width_ = 0, height_ = 0, finest_ = 0, coarsest_ = 0;
@@ -170,6 +188,12 @@ enum class DensityUse {
 /// memory for them, for good.
 [[nodiscard]] const std::vector<DensityTree>* densityTrees(const ShadowMap& map,
                                                            DensityUse use);
+
+/// How those of receivers are made.
+[[nodiscard]] DensityOptions receiverOptions(const ShadowMap& map) noexcept;
+
+/// Those of receivers that were stored, for a map that has not been asked for any.
+void holdDensityTrees(const ShadowMap& map, std::vector<DensityTree> trees);
 
 /// That these trees take, as many sets of them as are made.
 [[nodiscard]] std::uint64_t densityTreeBytes(const ShadowMap& map) noexcept;

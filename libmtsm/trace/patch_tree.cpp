@@ -76,23 +76,24 @@ class PatchBuilder {
     }
 
     PatchTree run() {
+        const std::uint32_t width = map_.info().width, height = map_.info().height;
+        content_.levels = PatchTree::levelsOf(width, height);
         const bool single = columns_ == 1 && rows_ == 1;
-        if (!single) tree_.levels_.push_back({kTexels, columns_, rows_, {}});
         LevelRows level = single ? pieces() : coarsePieces();
-        settle(level, true);
+        std::size_t number = single ? 0 : 1;
+        settle(level, content_.levels[number].tiles, true);
         while (level.columns > 1 || level.rows.size() > 1) {
             level = coarsen(level);
-            settle(level, false);
+            settle(level, content_.levels[++number].tiles, false);
         }
-        tree_.lowest_ = HUGE_VALF, tree_.highest_ = -HUGE_VALF;
+        content_.lowest = HUGE_VALF, content_.highest = -HUGE_VALF;
         for (const Node& n : level.rows[0].all.nodes) {
-            tree_.lowest_ = std::min(tree_.lowest_, n.low);
-            tree_.highest_ = std::max(tree_.highest_, n.high);
+            content_.lowest = std::min(content_.lowest, n.low);
+            content_.highest = std::max(content_.highest, n.high);
         }
-        tree_.margin_ = float(std::max(map_.info().width, map_.info().height)) * 0x1p-19f;
-        if (pieces_ > 0) tree_.pieceSize_ = float(double(samples_) / double(pieces_));
+        if (pieces_ > 0) content_.pieceSize = float(double(samples_) / double(pieces_));
         putTogether();
-        return std::move(tree_);
+        return {std::move(content_), width, height};
     }
 
   private:
@@ -163,9 +164,10 @@ class PatchBuilder {
         return level;
     }
 
-    /// Finds the places of a level's parts in the tree. `first`: it is the first level to
-    /// have any, and groups of children have children and covers of the same row.
-    void settle(LevelRows& level, bool first) {
+    /// Finds the places of a level's parts in the tree, and fills its tiles. `first`: it
+    /// is the first level to have any, and groups of children have children and covers of
+    /// the same row.
+    void settle(LevelRows& level, std::vector<PatchList>& tiles, bool first) {
         for (TileRow& row : level.rows) {
             row.firstGroup = groups_, row.firstCover = covers_;
             groups_ += row.parts.children.all().size() + row.parts.tiles.all().size();
@@ -194,30 +196,29 @@ class PatchBuilder {
             for (PatchList& tile : row.tiles)
                 tile.group += std::uint32_t(firstGroup + row.parts.children.all().size());
         });
-        tree_.levels_.push_back(
-            {level.side, level.columns, std::uint32_t(level.rows.size()), {}});
+        auto tile = tiles.begin();
         for (TileRow& row : level.rows) {
-            std::vector<PatchList>& tiles = tree_.levels_.back().tiles;
-            tiles.insert(tiles.end(), row.tiles.begin(), row.tiles.end());
+            tile = std::copy(row.tiles.begin(), row.tiles.end(), tile);
             placed_.push_back({std::move(row.parts), row.firstGroup, row.firstCover});
         }
     }
 
     void putTogether() {
         const std::vector<std::uint16_t> full = fullRows();
-        tree_.groups_.resize(groups_);
-        tree_.covers_.resize(full.size() + covers_ + kTexels);  // kernels read further
-        std::copy(full.begin(), full.end(), tree_.covers_.begin());
+        content_.groups.resize(groups_);
+        content_.covers.resize(full.size() + covers_ + kTexels);  // kernels read further
+        std::copy(full.begin(), full.end(), content_.covers.begin());
         base::parallelFor(std::size_t(0), placed_.size(), [&](std::size_t i) {
             Placed& p = placed_[i];
             const auto copy = [](const auto& from, auto to) {
                 return std::copy(from.begin(), from.end(), to);
             };
-            const auto tiles = copy(p.parts.children.all(),
-                                    tree_.groups_.begin() + std::ptrdiff_t(p.firstGroup));
+            const auto tiles =
+                copy(p.parts.children.all(),
+                     content_.groups.begin() + std::ptrdiff_t(p.firstGroup));
             copy(p.parts.tiles.all(), tiles);
             copy(p.parts.covers,
-                 tree_.covers_.begin() + std::ptrdiff_t(full.size() + p.firstCover));
+                 content_.covers.begin() + std::ptrdiff_t(full.size() + p.firstCover));
             p = {};
         });
     }
@@ -235,8 +236,26 @@ class PatchBuilder {
     std::vector<Placed> placed_;
     std::size_t groups_ = 0, covers_ = 0;     // so far
     std::uint64_t samples_ = 0, pieces_ = 0;  // of level 0
-    PatchTree tree_;
+    PatchTree::Content content_;
 };
+
+PatchTree::PatchTree(Content content, std::uint32_t width, std::uint32_t height) noexcept
+    : content_(std::move(content)), margin_(float(std::max(width, height)) * 0x1p-19f) {}
+
+std::vector<PatchTree::Level> PatchTree::levelsOf(std::uint32_t width,
+                                                  std::uint32_t height) {
+    std::vector<Level> levels;
+    for (std::uint32_t side = kTexels;; side *= 2) {
+        Level& level = levels.emplace_back();
+        level.side = side;
+        level.columns = (width + side - 1) / side;
+        level.rows = (height + side - 1) / side;
+        const bool isLast = level.columns == 1 && level.rows == 1;
+        if (isLast || levels.size() > 1)
+            level.tiles.resize(std::size_t(level.columns) * level.rows);
+        if (isLast) return levels;
+    }
+}
 
 PatchTree PatchTree::build(const ShadowMap& map, std::uint32_t face,
                            const Options& options) {
@@ -262,10 +281,15 @@ const std::vector<PatchTree>* patchTrees(const ShadowMap& map) {
     return kept.empty() ? nullptr : &kept;
 }
 
+void holdPatchTrees(const ShadowMap& map, std::vector<PatchTree> trees) {
+    map.queryData().get<std::vector<PatchTree>>([&] { return std::move(trees); });
+}
+
 std::uint64_t PatchTree::memoryBytes() const noexcept {
-    std::uint64_t bytes =
-        groups_.capacity() * sizeof(PatchGroup) + covers_.capacity() * sizeof(covers_[0]);
-    for (const Level& level : levels_)
+    const Content& c = content_;
+    std::uint64_t bytes = c.groups.capacity() * sizeof(PatchGroup) +
+                          c.covers.capacity() * sizeof(std::uint16_t);
+    for (const Level& level : c.levels)
         bytes += level.tiles.capacity() * sizeof(PatchList);
     return bytes;
 }

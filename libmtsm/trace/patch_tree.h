@@ -25,6 +25,7 @@
 #include <vector>
 
 #include "mtsm/map.h"
+#include "mtsm/result.h"
 
 namespace mtsm::trace {
 
@@ -156,39 +157,63 @@ class PatchTree {
         /// Row-major; of level 0 none, if it is not the last.
         std::vector<PatchList> tiles;
     };
+    /// What a tree is made of; what else it knows follows from the size of the face.
+    struct Content {
+        std::vector<Level> levels;
+        std::vector<PatchGroup> groups;
+        /// Rows of texels; after the last patch's there are kTexels more.
+        std::vector<std::uint16_t> covers;
+        float lowest = 0.0f, highest = 0.0f;  ///< w of all patches
+        /// Samples of a connected piece of surface within 16 x 16 pixels, on average; 0
+        /// if there are none. Of closed bodies dozens, of slender leaves a few.
+        float pieceSize = 0.0f;
+    };
+    /// The levels of a face of so many pixels, with room for the lists of their tiles.
+    [[nodiscard]] static std::vector<Level> levelsOf(std::uint32_t width,
+                                                     std::uint32_t height);
+    /// The tree of a face of so many pixels that was stored, and may have been made up.
+    /// Its levels are levelsOf() those. Errors (badFile) say what of it rays could not
+    /// follow to an end. Whether it is the tree of the map's layers is not asked.
+    [[nodiscard]] static Result<PatchTree> restore(Content content, std::uint32_t width,
+                                                   std::uint32_t height);
 
-    [[nodiscard]] const std::vector<Level>& levels() const noexcept { return levels_; }
-    [[nodiscard]] const PatchGroup* groups() const noexcept { return groups_.data(); }
-    /// Rows of texels; after the last patch's there are kTexels more.
-    [[nodiscard]] const std::uint16_t* covers() const noexcept { return covers_.data(); }
+    [[nodiscard]] const Content& content() const noexcept { return content_; }
+    [[nodiscard]] const std::vector<Level>& levels() const noexcept {
+        return content_.levels;
+    }
+    [[nodiscard]] const PatchGroup* groups() const noexcept {
+        return content_.groups.data();
+    }
+    [[nodiscard]] const std::uint16_t* covers() const noexcept {
+        return content_.covers.data();
+    }
     /// Of a bumpy patch.
     [[nodiscard]] BumpPlane bumps(std::uint32_t cover) const noexcept {
         BumpPlane bumps;
-        std::memcpy(&bumps, &covers_[cover], sizeof bumps);
+        std::memcpy(&bumps, covers() + cover, sizeof bumps);
         return bumps;
     }
-    /// Of all patches.
-    [[nodiscard]] float lowest() const noexcept { return lowest_; }
-    [[nodiscard]] float highest() const noexcept { return highest_; }
+    [[nodiscard]] float lowest() const noexcept { return content_.lowest; }
+    [[nodiscard]] float highest() const noexcept { return content_.highest; }
     /// Boxes must be so much wider, pixels, for what a ray's place is rounded by: whether
     /// it meets a patch does not depend on which boxes it was tested against.
     [[nodiscard]] float margin() const noexcept { return margin_; }
-    /// Samples of a connected piece of surface within 16 x 16 pixels, on average; 0 if
-    /// there are none. Of closed bodies dozens, of slender leaves a few.
-    [[nodiscard]] float pieceSize() const noexcept { return pieceSize_; }
+    [[nodiscard]] float pieceSize() const noexcept { return content_.pieceSize; }
     [[nodiscard]] std::uint64_t memoryBytes() const noexcept;
 
   private:
+    PatchTree(Content content, std::uint32_t width, std::uint32_t height) noexcept;
+
     friend class PatchBuilder;
-    std::vector<Level> levels_;
-    std::vector<PatchGroup> groups_;
-    std::vector<std::uint16_t> covers_;
-    float lowest_ = 0.0f, highest_ = 0.0f, margin_ = 0.0f;
-    float pieceSize_ = 0.0f;
+    Content content_;
+    float margin_;
 };
 
 /// The trees of an opaque map's faces, made when first asked for; null if there is no
 /// memory for them, for good.
 [[nodiscard]] const std::vector<PatchTree>* patchTrees(const ShadowMap& map);
+
+/// Those of its faces that were stored, for a map that has not been asked for any.
+void holdPatchTrees(const ShadowMap& map, std::vector<PatchTree> trees);
 
 }  // namespace mtsm::trace

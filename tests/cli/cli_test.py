@@ -74,7 +74,7 @@ OPTIONS = {
                --light-radius --light-size --light-angle --light-name --projection --fov --near --far
                --resolution --subsamples --bias --cull --layers --tolerance --resets --color
                --keep-hidden --near-field --rounding --quality --target-error --opacity --include --exclude --texture --hair-width --hair-tip-width --hair-opacity
-               --hair-scale --density-grid --density-scale --codec --level --threads --max-memory
+               --hair-scale --density-grid --density-scale --codec --level --tree --threads --max-memory
                --quiet --json --version --help""",
     "query": """--point --normal --points --rays --position --position-layer --normal-pass
                 --normal-layer --plane --size --no-normal --output --samples --seed --bias --threshold
@@ -519,6 +519,7 @@ class Job(ToolTest):
             rounding = 0.0
             codec = "zstd"
             level = 5
+            tree = true
             [[caster]]
             file = "scene.obj"
             include = ["square", "floor"]
@@ -541,7 +542,8 @@ class Job(ToolTest):
         # The square of side 2 at height 1, halved and raised by 0.5, is 3 below the light.
         back = j["projections"][0]["eye"][1] - 4
         self.assertAlmostEqual(j["zRange"][0] - back, 3, places=5)
-        for word in ("--resets 2", "--tolerance 0.02", "--keep-hidden", "transform = ", "include = square",
+        self.assertIn("TREE", [block["type"] for block in j["blocks"]])
+        for word in ("--resets 2", "--tolerance 0.02", "--keep-hidden", "--tree", "transform = ", "include = square",
                      "texture = *=grey.png", "hair-width = 0.01, hair-tip-width = 0.005, hair-opacity = 0.5, "
                      "hair-scale = 0.25"):
             self.assertIn(word, j["settings"])
@@ -882,6 +884,37 @@ class Bake(ToolTest):
         one = pathlib.Path("1.mtsm").read_bytes()
         self.assertEqual(one, pathlib.Path("2.mtsm").read_bytes())
         self.assertEqual(one, pathlib.Path("8.mtsm").read_bytes())
+
+    def test_trees_are_kept_when_asked_for_and_queries_answer_the_same(self):
+        for options in ([], ["--opacity", "0.5"], ["--near-field", "none"]):
+            self.bake_map("without.mtsm", *options)
+            self.bake_map("with.mtsm", "--tree", *options)
+            dumped = json.loads(run("dump", "with.mtsm", "--json").stdout)
+            self.assertIn("TREE", [block["type"] for block in dumped["blocks"]])
+            self.assertRegex(self.good(run("dump", "with.mtsm", "--validate")).stdout, "^OK")
+            outputs = []
+            for name in ("without", "with"):
+                query = ["query", f"{name}.mtsm", "--plane", "-2,0,-2,4,0,0,0,0,4", "--size", "20x20",
+                         "--samples", 32, "-o", "s.csv", "--json"]
+                told = json.loads(self.good(run(*query)).stdout)
+                outputs.append((pathlib.Path("s.csv").read_text(), told["memoryBytes"]))
+            self.assertEqual(*outputs)
+        # Queries that do not go through them have the layers.
+        for options in (["--method", "pcf"], ["--attenuation", "subtract"], ["--no-near-field"]):
+            done = [self.good(run("query", f"{name}.mtsm", "--point", "0.3,0,0.2", *options)).stdout
+                    for name in ("without", "with")]
+            self.assertEqual(*done)
+
+    def test_says_what_trees_take(self):
+        done = self.good(self.bake(*LIGHT, "--tree", "--json"))
+        self.assertGreater(json.loads(done.stdout)["trees"]["bytes"], 0)
+        self.assertIn("trees: ", done.stderr)
+        self.assertEqual(json.loads(self.good(self.bake(*LIGHT, "--json")).stdout)["trees"]["bytes"], 0)
+        pathlib.Path("tiny.obj").write_text("v 0.001 1 0.001\nv 0.0011 1 0.001\nv 0.001 1 0.0011\nf 1 2 3\n")
+        done = self.good(run("bake", "tiny.obj", *LIGHT, "--light-target", "0,0,0", "--fov", 20, "--resolution", 8,
+                             "--tree", "-o", "a.mtsm"))
+        self.assertIn("warning: no trees: ", done.stderr)
+        self.assertNotIn("TREE", run("dump", "a.mtsm").stdout)
 
     def test_a_near_field_is_kept_within_its_size_or_not_at_all(self):
         for size in ("auto", "1M", 10000):
@@ -1522,6 +1555,19 @@ class Dump(ToolTest):
         done = self.good(run("query", "bad.mtsm", "--point", "0,0,0", "--no-near-field"))
         self.assertEqual(done.stdout, run("query", "key.mtsm", "--point", "0,0,0", "--no-near-field").stdout)
         self.assertRegex(done.stdout, "0,0,0,1,0")
+
+    def test_of_damaged_trees_others_are_made(self):
+        self.bake_map("tree.mtsm", "--tree")
+        damaged = bytearray(pathlib.Path("tree.mtsm").read_bytes())
+        damaged[damaged.index(b"TREE") + 60] ^= 1
+        pathlib.Path("bad.mtsm").write_bytes(damaged)
+        query = ["--point", "0.3,0,0.2"]
+        done = self.good(run("query", "bad.mtsm", *query))
+        for words in ("warning: bad.mtsm: block TREE at offset", "checksum", "now trees are made of the layers"):
+            self.assertIn(words, done.stderr)
+        self.assertEqual(done.stdout, run("query", "tree.mtsm", *query).stdout)
+        for command in (["dump", "bad.mtsm"], ["dump", "bad.mtsm", "--validate"]):
+            self.fails(run(*command), 4, "bad.mtsm", "block TREE", "only the trees are damaged: mtsm-query makes its own")
 
     def refuses_as_map(self, path, *words):
         for command in (["dump", path], ["dump", path, "--validate"], ["query", path, "--point", "0,0,0"]):

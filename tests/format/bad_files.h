@@ -79,6 +79,12 @@ inline const std::map<std::string, BadWords>& badWords() {
          {"texture 0: 16385 x 1 texels", "16385 x 1 texels"}},
         {"bad_card_texture_of_none", {"has texture 7 of 1", "texture 7"}},
         {"bad_card_twice", {"2 blocks CARD", "more than one block"}},
+        {"bad_tree_cut", {"ends within what it says", "block TREE at offset"}},
+        {"bad_tree_of_other_kind", {"trees of kind 1, the map's are 0", "kind 1"}},
+        {"bad_tree_groups_absurd", {"268435456 groups", "268435456 groups"}},
+        {"bad_tree_list_of_nothing",
+         {"tile 0 of level 0: a list of", "a list of what is not there"}},
+        {"bad_tree_twice", {"2 blocks TREE", "more than one block"}},
         {"unsupported_newer_encoding",
          {"version 1.1, newer than the 1.0 that this reader knows: tile face 0 (0, 0) at "
           "offset 576: plane z: unknown encoding 3",
@@ -277,6 +283,32 @@ inline std::vector<BadFile> badFiles() {
              [](Bytes& cards) { cards[cards.size() - 216] = 7; });
     add("bad_card_twice", [](Surgery& s) {
         s.parts.insert(s.parts.begin() + 2, 2, {kCard, 0, handmadeCards()});
+    });
+    // The opaque map is one tile: so is the first array, eight bytes.
+    const auto addTree = [&](const std::string& name,
+                             const std::function<void(Surgery&)>& cut) {
+        NoisySpec body = spec;
+        body.opaque = true;
+        WriteOptions options;
+        options.codec = Codec::none;
+        options.trees = true;
+        Surgery s(*encodeMap(noisyMap(body), options));
+        cut(s);
+        all.push_back({name, s.close()});
+    };
+    addTree("bad_tree_cut", [](Surgery& s) { s.payload(kTree).resize(40); });
+    addTree("bad_tree_of_other_kind", [](Surgery& s) { poke(s.payload(kTree), 4, 1u); });
+    addTree("bad_tree_groups_absurd",
+            [](Surgery& s) { poke(s.payload(kTree), 16, 1ull << 28); });
+    addTree("bad_tree_list_of_nothing", [](Surgery& s) {
+        Bytes& tree = s.payload(kTree);
+        const auto record = peek<PatchTreeRecord>(tree, sizeof(TreeFixed));
+        const std::size_t content = 8 + 144 * record.groups + 2 * record.covers;
+        tree[tree.size() - content + 2] = 255;
+    });
+    addTree("bad_tree_twice", [](Surgery& s) {
+        const Surgery::Part tree = s.part(kTree);
+        s.parts.insert(s.parts.begin() + 2, tree);
     });
     add("unsupported_newer_encoding", [&](Surgery& s) {
         s.prefix.versionMinor = 1;

@@ -21,6 +21,7 @@ struct Golden {
     std::string name;  ///< of the file, without .mtsm
     ShadowMap map;
     Codec codec = Codec::zstd;
+    bool trees = false;
 };
 
 /// The same numbers in the same order on every machine.
@@ -487,6 +488,8 @@ inline std::vector<Golden> goldenMaps() {
     all.push_back(nearHair());
     all.push_back(nearSheets());
     all.push_back(rounded());
+    all.push_back({"tree_patches", opaque().map, Codec::zstd, true});
+    all.push_back({"tree_densities", media().map, Codec::zstd, true});
     return all;
 }
 

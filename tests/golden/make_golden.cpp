@@ -34,6 +34,7 @@ int main(int argc, char** argv) {
     for (const auto& golden : mtsm::test::goldenMaps()) {
         mtsm::WriteOptions options;
         options.codec = golden.codec;
+        options.trees = golden.trees;
         const auto bytes = mtsm::encodeMap(golden.map, options);
         if (!bytes || !save(std::string(argv[1]) + "/" + golden.name + ".mtsm", *bytes))
             return 3;

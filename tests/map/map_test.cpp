@@ -6,7 +6,20 @@
 #include "mtsm/map.h"
 
 using namespace mtsm;
-using mtsm::test::noisyMap;
+using namespace mtsm::test;
+
+TEST_CASE("a map is opaque if no layer lets anything through, planes or not", "[map]") {
+    const auto mapWith = [](float v) {
+        return mapOf(
+            plainInfo(8, 8, 8), plainProjection(8, 8),
+            [v](std::uint32_t x, std::uint32_t y) {
+                return std::vector<TestLayer>{{2.0f, x == 7 && y == 7 ? v : 0.0f, 1}};
+            });
+    };
+    CHECK(mapWith(0.0f).isOpaque());
+    CHECK(mapWith(-0.0f).isOpaque());
+    CHECK_FALSE(mapWith(0.125f).isOpaque());
+}
 
 TEST_CASE("every node of the hierarchy is exactly the range of its pixels",
           "[map][exact]") {

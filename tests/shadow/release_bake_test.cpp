@@ -8,7 +8,9 @@
 
 #include "bumpy_mesh.h"
 #include "mtsm/bake.h"
+#include "mtsm/reader.h"
 #include "mtsm/shadow.h"
+#include "mtsm/writer.h"
 #include "random.h"
 #include "shadow/released.h"
 #include "trace/density_tree.h"
@@ -106,6 +108,19 @@ ShadowMap bakeOf(const Kind& kind, LightShape shape, bool nearField) {
     return std::move(baked->map);
 }
 
+/// Written with its trees and read again.
+ShadowMap throughFile(const ShadowMap& map, bool layers) {
+    WriteOptions options;
+    options.trees = true;
+    const auto bytes = encodeMap(map, options);
+    if (!bytes) FAIL(bytes.error().message);
+    ReadLimits limits;
+    limits.layers = layers;
+    auto read = readMap(bytes->data(), bytes->size(), "t.mtsm", limits);
+    if (!read) FAIL(read.error().message);
+    return *std::move(read);
+}
+
 struct Points {
     std::vector<glm::dvec3> at, normals;
 };
@@ -167,8 +182,10 @@ std::vector<ShadowRay> steepRays(Random& random, const Kind& kind, int count) {
 
 }  // namespace
 
-TEST_CASE("without its layers a map answers to the last bit what it did with them",
-          "[shadow][exact]") {
+TEST_CASE(
+    "without its layers, or with trees from a file, a map answers to the last bit what "
+    "it did",
+    "[shadow][exact]") {
     for (const Kind& kind : kKinds) {
         for (const LightShape shape : {LightShape::disk, LightShape::sun}) {
             if (kind.cube && shape == LightShape::sun) continue;
@@ -176,6 +193,11 @@ TEST_CASE("without its layers a map answers to the last bit what it did with the
                 INFO(kind.name << " " << name(shape) << " near field " << nearField);
                 const ShadowMap map = bakeOf(kind, shape, nearField);
                 const ShadowMap bare = released(map);
+                const ShadowMap fromFile = throughFile(map, false);
+                CHECK_FALSE(fromFile.hasLayers());
+                CHECK(queryMemoryBytes(fromFile) == queryMemoryBytes(bare));
+                const ShadowMap whole = throughFile(map, true);
+                CHECK(identical(map, whole));
                 const AreaLight light = lightOf(kind, shape);
                 Random random(3);
                 const Points points = around(random, kind, 400);
@@ -187,11 +209,13 @@ TEST_CASE("without its layers a map answers to the last bit what it did with the
                     options.targetError = way == 3 ? 0.02f : 0.0f;
                     options.weight = way == 4 ? Weight::cosine : Weight::uniform;
                     const Answers a = ask(map, light, points, way != 1, options);
-                    const Answers b = ask(bare, light, points, way != 1, options);
-                    CHECK(sameBits(a.factors, b.factors));
-                    CHECK(sameBits(a.errors, b.errors));
-                    CHECK(a.stats.rays == b.stats.rays);
-                    CHECK(a.stats.points == b.stats.points);
+                    for (const ShadowMap* const other : {&bare, &fromFile, &whole}) {
+                        const Answers b = ask(*other, light, points, way != 1, options);
+                        CHECK(sameBits(a.factors, b.factors));
+                        CHECK(sameBits(a.errors, b.errors));
+                        CHECK(a.stats.rays == b.stats.rays);
+                        CHECK(a.stats.points == b.stats.points);
+                    }
                     for (const glm::vec3 f : a.factors)
                         dark += double(f.x) / double(5 * a.factors.size());
                     const glm::vec3 alone = shadowFactorColor(
@@ -206,6 +230,8 @@ TEST_CASE("without its layers a map answers to the last bit what it did with the
                 const std::vector<ShadowRay> steep = steepRays(random, kind, 300);
                 const std::vector<float> a = follow(map, steep, rays);
                 const std::vector<float> b = follow(bare, steep, rays);
+                CHECK(sameBits(follow(fromFile, steep, rays), b));
+                CHECK(sameBits(follow(whole, steep, rays), a));
                 if (!map.nearHair(0).empty() || !map.nearSheets(0).empty()) {
                     // Through the trees of receivers, whose finest texels are coarser.
                     double away = 0.0;

@@ -101,6 +101,7 @@ constexpr Key kKeys[] = {
     {"map", "target-error", Form::number},
     {"map", "codec", Form::text},
     {"map", "level", Form::whole},
+    {"map", "tree", Form::flag},
 
     {"caster", "file", Form::path},
     {"caster", "transform", Form::matrix},

@@ -104,7 +104,15 @@ Failure mapFailure(Error error, const std::string& path, const ReadLimits& limit
             error.message += "; a map is a .mtsm file that mtsm-bake wrote";
         return {error};
     }
-    ReadLimits layersAlone = limits;
+    ReadLimits without = limits;
+    without.trees = false;
+    if (limits.trees && readMap(path, without)) {
+        error.message += std::string(damaged ? "; only the trees are damaged"
+                                             : "; that is for the trees") +
+                         ": mtsm-query makes its own of the layers";
+        return {error};
+    }
+    ReadLimits layersAlone = without;
     layersAlone.nearField = false;
     if (limits.nearField && readMap(path, layersAlone))
         error.message += std::string(damaged ? "; only the near field is damaged"

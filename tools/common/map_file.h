@@ -12,8 +12,8 @@ namespace mtsm::tools {
 
 /// What is wrong with the map at `path`, as `error` has it, and what a tool's user can
 /// do: a caster's or a job's file wants to be baked, a picture or a table belongs to
-/// other options, a map whose near field alone is damaged (which reading it once more
-/// tells) has its layers.
+/// other options, a map whose trees or near field alone are damaged (which reading it
+/// once more tells) has its layers.
 [[nodiscard]] Failure mapFailure(Error error, const std::string& path,
                                  const ReadLimits& limits);
 

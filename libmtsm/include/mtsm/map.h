@@ -186,6 +186,18 @@ class ShadowMap {
     [[nodiscard]] static Result<ShadowMap> create(MapInfo info,
                                                   std::vector<MapFace> faces);
 
+    /// What is known of layers that are not there.
+    struct LayerFacts {
+        std::uint64_t count = 0;  ///< over all faces
+        bool isOpaque = true;
+        ZRange ranges[6];  ///< of each face
+    };
+    /// A map as releaseLayers() leaves it, for the library's own use: whoever makes it
+    /// gives it trees. Its faces' tiles are empty. Errors as above.
+    [[nodiscard]] static Result<ShadowMap> createWithoutLayers(MapInfo info,
+                                                               std::vector<MapFace> faces,
+                                                               const LayerFacts& layers);
+
     [[nodiscard]] const MapInfo& info() const noexcept { return info_; }
     [[nodiscard]] std::uint32_t faceCount() const noexcept {
         return static_cast<std::uint32_t>(faces_.size());
@@ -227,7 +239,8 @@ class ShadowMap {
         return faceRanges_[face];
     }
 
-    /// False after releaseLayers() (mtsm/shadow.h). Then tiles, pixels and the texels of
+    /// False after releaseLayers() (mtsm/shadow.h), and of a map that was read without
+    /// layers (ReadLimits::layers). Then tiles, pixels and the texels of
     /// near sheets are empty, and every zRange() is that of its whole face. All else is
     /// as before.
     [[nodiscard]] bool hasLayers() const noexcept { return hasLayers_; }
@@ -250,6 +263,8 @@ class ShadowMap {
     ShadowMap() = default;
     friend Status releaseLayers(ShadowMap& map) noexcept;
     void dropLayers() noexcept;
+    Status setShape(MapInfo info, std::vector<MapFace> faces);
+    void finish();
     Status checkShape() const;
     Status checkTiles() const;
     Status checkTile(std::uint32_t face, std::uint32_t tx, std::uint32_t ty) const;

@@ -5,9 +5,10 @@
 //
 // Every byte of a file is covered by a checksum or has a fixed value; sizes are proved
 // against the file's length and against ReadLimits before anything is allocated for them.
-// A file is read whole and checked whole: a ShadowMap that comes out is right to the last
-// layer, and tracing it cannot fail. Reading is safe on untrusted files. Functions may be
-// called from any thread; tiles are decoded in the caller's oneTBB arena.
+// A file is read whole and checked whole, but for what ReadLimits pass over: a ShadowMap
+// that comes out is right to the last layer, and tracing it cannot fail. Reading is safe
+// on untrusted files. Functions may be called from any thread; tiles are decoded in the
+// caller's oneTBB arena.
 #pragma once
 #include <cstddef>
 #include <cstdint>
@@ -25,7 +26,7 @@ struct ReadLimits {
     /// and, for each thread that decodes, the stored bytes of the largest tile and 8 to
     /// 12 bytes for each of its layers or pixels; of a near field the stored bytes,
     /// triangles once more, and, for each thread, the largest of the parts that it is
-    /// stored in. Not counted: the
+    /// stored in; of trees the stored bytes and twice what they take. Not counted: the
     /// index and the hierarchy as they are stored, which are a part of the file, and what
     /// maxAttributeBytes bounds, each at most twice.
     std::uint64_t maxBytes = std::uint64_t(8) << 30;
@@ -35,6 +36,14 @@ struct ReadLimits {
     /// Without, the near field is passed over unread, so that a map whose near field is
     /// damaged still answers from its layers.
     bool nearField = true;
+    /// Without, trees are passed over unread and made of the layers when a query wants
+    /// them, as of a file that has none (WriteOptions::trees); and so are trees beside a
+    /// near field that is passed over.
+    bool trees = true;
+    /// Without, layers are passed over unread where the file has trees to answer queries
+    /// from, and the map is as after releaseLayers() (mtsm/shadow.h); see
+    /// ShadowMap::hasLayers().
+    bool layers = true;
 };
 
 /// The whole map. Errors: io, badFile (the message names the damaged part, its offset and

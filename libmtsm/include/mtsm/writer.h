@@ -27,6 +27,12 @@ enum class Codec : std::uint32_t { none = 0, zstd = 1 };
 struct WriteOptions {
     Codec codec = Codec::zstd;  ///< a plane that it does not make smaller is stored raw
     int level = 3;              ///< zstd's, 1..19
+    /// Also the trees that queries go through, made if they are not yet: a reader then
+    /// makes none, and need not even read the layers (ReadLimits::layers). They make the
+    /// file larger, of opaque maps by 1 to 7 bytes a pixel. None are written of maps that
+    /// queries know no trees of (more than 2^28 layers, six faces that are no cube's), or
+    /// if there is no memory for them.
+    bool trees = false;
     /// Called now and then from one thread at a time with the fraction done, 0..1;
     /// returning false stops the writing (ErrorCode::cancelled).
     std::function<bool(double)> progress;
