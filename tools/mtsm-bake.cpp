@@ -629,7 +629,8 @@ std::string nearItemsText(const BakeReport& r) {
     return text;
 }
 
-/// What came of --near-field. That auto keeps none is no reason to worry.
+/// What came of --near-field. That auto keeps none is no reason to worry, unless a bound
+/// was given that there would be one without.
 void sayNearField(Talk& talk, const BakeReport& r, const Arguments& a) {
     if (r.noNearField.empty()) {
         if (r.nearBytes)
@@ -638,7 +639,7 @@ void sayNearField(Talk& talk, const BakeReport& r, const Arguments& a) {
         return;
     }
     const std::string text = "no near field: " + r.noNearField;
-    if (a.nearField == "auto")
+    if (a.nearField == "auto" && text.find("--max-memory") == std::string::npos)
         talk.say(text);
     else
         talk.warn(text);

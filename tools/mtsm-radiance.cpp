@@ -389,6 +389,7 @@ RadianceLight lightOf(const LightArguments& given, const Box& casters) {
     RadianceLight result;
     result.radiance = given.radiance;
     AreaLight& light = result.light;
+    light.up = {0.0, 1.0, 0.0};
     if (const auto shape = given.options.shape()) light.shape = *shape;
     applyLightOptions(given.options, light);
     const bool sun = light.shape == LightShape::sun;

@@ -222,7 +222,10 @@ double nearest(glm::dvec3 light, const Extent& bounds) {
 void aim(AreaLight& light, glm::dvec3 forward) {
     if (light.shape != LightShape::disk && light.shape != LightShape::rect) return;
     light.direction = forward;
-    if (light.shape == LightShape::rect) light.up = light::rectFrame(light).y;
+    if (light.shape != LightShape::rect) return;
+    Projection p;
+    orient(p, forward, light.up);
+    light.up = p.up;
 }
 
 Result<Placement> placeFinite(Visits& visits, const BakeOptions& options) {
@@ -358,6 +361,11 @@ Status checkSampling(const BakeOptions& o) {
 }  // namespace
 
 Error nothingCasts(const BakeReport& r) {
+    if (r.meshes == 0)
+        return makeError(ErrorCode::badFile,
+                         "nothing casts a shadow: there are no meshes, and no strand or "
+                         "volume with finite points, a width, an opacity or a density, "
+                         "inside the window, near and far");
     return makeError(
         ErrorCode::badFile, "nothing casts a shadow: of ", r.triangles, " triangles in ",
         r.meshes, " meshes, ", r.degenerate, " have no area, ", r.nonFinite,

@@ -321,10 +321,13 @@ Picture pictureOfPass(std::uint32_t width, std::uint32_t height,
     picture.height = height;
     for (const std::uint32_t pixel : pixelsInZOrder(width, height)) {
         if (!surface[pixel] || !base::isFinite(glm::dvec3(positions[pixel]))) continue;
-        const glm::dvec3 at(positions[pixel]);
+        glm::dvec3 at(positions[pixel]);
         glm::dvec3 n = normals.empty() ? glm::dvec3(0.0) : glm::dvec3(normals[pixel]);
         const double length = glm::length(n);
         n = length > 0.0 && base::isFinite(n) ? n / length : glm::dvec3(0.0);
+        // Far from the origin floats put points as far behind their surface.
+        constexpr double kRounding = 0x1p-23;
+        at += kRounding * glm::dot(glm::abs(at), glm::abs(n)) * n;
         append(picture, pixel, {Seen{at, n, at, true}});
     }
     return picture;

@@ -72,7 +72,10 @@ double rayOffset(glm::dvec3 point, glm::dvec3 axis, glm::dvec3 low, glm::dvec3 h
     const double length = glm::length(axis);
     if (!(length > 0.0) || !(low.x <= high.x)) return 0.0;  // no axis, no casters
     const glm::dvec3 reach = glm::max(glm::abs(point - low), glm::abs(high - point));
-    return share * glm::dot(glm::abs(axis) / length, reach);
+    // Where all casters lie in one plane nothing rounds, but a ray on it would meet it.
+    constexpr double kLeast = 0x1p-6;
+    const double most = std::max({reach.x, reach.y, reach.z});
+    return share * std::max(glm::dot(glm::abs(axis) / length, reach), kLeast * most);
 }
 
 PointRays::PointRays(const light::LightSampler& sampler, glm::dvec3 point,

@@ -49,6 +49,15 @@ constexpr double kSheetMost = 1e6, kSheetLeast = 8.0;
 /// Texels may then be so much coarser: what one blurs is far from the receiver.
 constexpr float kSheetSpread = 2.0f;
 
+/// Where layers are capped at so few they say little of what lies behind the nearest
+/// strands or sheets, and the near field answers so much farther.
+constexpr std::uint32_t kFewLayers = 8;
+constexpr double kCappedFarther = 4.0;
+
+/// Triangles answer at least until the light is a pixel wide, to one of no size all the
+/// way: there shadows have edges, and pixels steps.
+constexpr double kNarrowMost = 1e6;
+
 /// Triangles cannot be all of what is not opaque, and where strands are, not all.
 bool hasNear(const ShadowMap& map, std::uint32_t face) {
     if (!map.nearSheets(face).empty()) return true;
@@ -70,14 +79,30 @@ double nearHeightOf(const ShadowMap& map) noexcept {
     return height;
 }
 
-double hairWidth(std::uint32_t samples) noexcept {
-    return std::clamp(kHairApart * std::sqrt(double(samples)), kHairLeastWidth,
-                      kHairWidth);
+bool isCapped(const ShadowMap& map) noexcept {
+    return map.info().maxLayers >= 1 && map.info().maxLayers <= kFewLayers;
 }
 
-double sheetWidth(std::uint32_t samples) noexcept {
-    return std::clamp(kSheetApart * std::sqrt(double(samples)), kSheetLeastWidth,
-                      kSheetWidth);
+/// For how many footprints of depth the light, seen through a receiver at the far end of
+/// what there is, is no wider than one of them.
+double narrowOf(const light::LightSampler& light, const Projection& p, double farthest) {
+    const light::LightView seen = light.view(p.eye + farthest * p.forward);
+    const double width =
+        2.0 * std::max({glm::length(seen.x), glm::length(seen.y), glm::length(seen.z)});
+    const double away = seen.endless ? 1.0 : farthest;
+    return width * kNarrowMost > away ? away / width : kNarrowMost;
+}
+
+double hairWidth(const ShadowMap& map, std::uint32_t samples) noexcept {
+    const double farther = isCapped(map) ? kCappedFarther : 1.0;
+    return std::clamp(farther * kHairApart * std::sqrt(double(samples)), kHairLeastWidth,
+                      farther * kHairWidth);
+}
+
+double sheetWidth(const ShadowMap& map, std::uint32_t samples) noexcept {
+    const double farther = isCapped(map) ? kCappedFarther : 1.0;
+    return std::clamp(farther * kSheetApart * std::sqrt(double(samples)),
+                      kSheetLeastWidth, farther * kSheetWidth);
 }
 
 LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& light,
@@ -98,8 +123,8 @@ LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& li
     if (near) {
         const bool sheets = !map.nearSheets(0).empty(), hair = !map.isOpaque();
         setting.nearDepth = sheets ? kSheetMost : nearMost;
-        setting.nearWidth = sheets ? sheetWidth(setting.samples)
-                            : hair ? hairWidth(setting.samples)
+        setting.nearWidth = sheets ? sheetWidth(map, setting.samples)
+                            : hair ? hairWidth(map, setting.samples)
                                    : kNearWidth;
         setting.nearLeast = sheets ? kSheetLeast : hair ? kHairLeast : kNearDepth;
         setting.nearHeight = nearHeightOf(map);
@@ -109,7 +134,7 @@ LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& li
     setting.sheets = map.info().translucent == Translucent::sheets;
     setting.steps = SampleSteps::of(options, setting.samples);
     setting.joined = map.faceCount() > 1;
-    setting.ways = setting.joined && setting.media;
+    setting.ways = setting.joined;
     return setting;
 }
 
@@ -171,7 +196,8 @@ BundleQuery::Face::Face(const ShadowMap& map, std::uint32_t number, ZRange reach
         patches = &(*trace::patchTrees(map))[number];
         const float piece = patches->pieceSize();
         const bool small = piece > 0.0f && piece < kSmallPiece;
-        nearMost = small ? kNearMost : kNearDepth;
+        nearMost = std::max(small ? kNearMost : kNearDepth,
+                            narrowOf(light, projection, double(reach.max)));
         neighbours = small ? Neighbours::own : Neighbours::pixel;
     } else {
         nearMost = kHairMost;
@@ -216,6 +242,15 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
     faces_.reserve(map.faceCount());
     for (std::uint32_t f = 0; f < map.faceCount(); ++f)
         faces_.emplace_back(map, f, depthsOf(map, f, options.bias), light_);
+    const bool wide = std::any_of(faces_.begin(), faces_.end(), [](const Face& face) {
+        return face.lightHigh >= face.nearest * (1.0 - 1e-6);
+    });
+    if (faces_.size() > 1 && wide) {
+        RayOptions single;
+        single.bias = options.bias;
+        single.threshold = options.threshold;
+        singly_.emplace(map, single);
+    }
     std::optional<std::uint32_t> pattern;
     std::uint32_t met = (1u << map.faceCount()) - 1;
     if (only) {
@@ -325,11 +360,21 @@ void BundleQuery::findPlaces(const glm::dvec3* points, int count,
     for (std::uint32_t f = 0; f < 6; ++f) {
         if (!(any >> f & 1)) continue;
         ask(
-            f, [&](int i) { return home[i] != f && (met[i] >> f & 1); },
+            f,
+            [&](int i) {
+                return home[i] != f && (met[i] >> f & 1) &&
+                       leadsToEye(faces_[f], points[i]);
+            },
             [&](int i, std::uint32_t found) {
                 if (found == ReceiverPlaces::kNone) places[i] = found;
             });
     }
+}
+
+/// Do all rays from the point to the light come nearer to the eye of the face?
+bool BundleQuery::leadsToEye(const Face& face, glm::dvec3 point) const noexcept {
+    return glm::dot(face.projection.forward, point - face.projection.eye) >
+           face.lightHigh;
 }
 
 std::uint32_t BundleQuery::keyOf(glm::dvec3 point) const noexcept {
@@ -514,6 +559,10 @@ void BundleQuery::followBeyond(std::uint32_t home, const Receiver* receivers, in
         int from[trace::kMostReceivers], size = 0;
         for (int i = 0; i < count; ++i) {
             if (f == home || !(met[i] >> f & 1)) continue;
+            if (!leadsToEye(faces_[f], receivers[i].point)) {
+                followSingly(home, f, receivers[i], i, rays);
+                continue;
+            }
             some[size] = receivers[i];
             from[size++] = i;
         }
@@ -549,6 +598,82 @@ void BundleQuery::followBeyond(std::uint32_t home, const Receiver* receivers, in
             rays.fates.clear[homeRow] &= left;
         }
     }
+}
+
+/// The parts of a receiver's rays in a face that they do not all come nearer to the eye
+/// of.
+void BundleQuery::followSingly(std::uint32_t home, std::uint32_t number,
+                               const Receiver& receiver, int homeReceiver,
+                               Rays& rays) const noexcept {
+    const Face& face = faces_[number];
+    const glm::dmat3 worldFromHome = glm::transpose(faces_[home].turn);
+    const glm::dvec3 start = receiver.point - faces_[0].projection.eye;
+    double z[6];
+    for (std::uint32_t f = 0; f < 6; ++f)
+        z[f] = glm::dot(faces_[f].projection.forward, start);
+    const auto& p = faces_[home].projection;
+    const double height = kPlaneHeight * p.pixelFootprint(std::abs(z[home]));
+    const double aside = (media_ ? mediaStart_ * p.pixelFootprint(std::abs(z[home]))
+                                 : kStartBiases * bias_.at(z[home]));
+    const glm::dvec3 normal = unitNormal(receiver.normal);
+    const glm::dvec3 forward = glm::transpose(worldFromHome) * face.projection.forward;
+    const std::uint32_t channels = map_.info().channels;
+
+    ShadowRay parts[RayQuery::kAtOnce];
+    std::pair<int, int> places[RayQuery::kAtOnce];  // row and lane
+    glm::vec3 visible[RayQuery::kAtOnce];
+    std::size_t count = 0;
+    const auto look = [&] {
+        singly_->look(parts, count, visible);
+        for (std::size_t k = 0; k < count; ++k) {
+            const auto [row, i] = places[k];
+            if (opaque_ && visible[k].x > 0.0f) continue;
+            const auto bit = std::uint16_t(1u << i);
+            if (opaque_) {
+                rays.bundle.open[row] &= std::uint16_t(~bit);
+                rays.fates.clear[row] &= std::uint16_t(~bit);
+                continue;
+            }
+            if (visible[k] == glm::vec3(1.0f)) continue;
+            rays.followed[row] |= bit;
+            for (std::uint32_t c = 0; c < channels; ++c) {
+                const float v = visible[k][int(c)];
+                rays.depths.depth[c][row][i] +=
+                    v > 0.0f ? -std::log(v) : trace::kDarkDepth;
+            }
+        }
+        count = 0;
+    };
+    for (int group = 0; group < rays.bundle.groups; ++group) {
+        const int row = rays.bundle.row(homeReceiver, group);
+        std::uint32_t rest = rays.bundle.open[row] | rays.fates.clear[row];
+        for (; rest; rest &= rest - 1) {
+            const int i = std::countr_zero(rest);
+            const glm::dvec3 inHome(rays.fates.delta[0][row][i],
+                                    rays.fates.delta[1][row][i],
+                                    rays.fates.delta[2][row][i]);
+            const double rise = glm::dot(forward, inHome);
+            if (z[number] + std::max(rise, 0.0) < face.nearest) continue;
+            const glm::dvec3 delta = worldFromHome * inHome;
+            double change[6];
+            for (std::uint32_t f = 0; f < 6; ++f)
+                change[f] = glm::dot(faces_[f].projection.forward, delta);
+            auto [begin, end] = partIn(number, z, change);
+            const double length = glm::length(delta);
+            // As far off the receiver's own surface as elsewhere.
+            const double off = normal != glm::dvec3(0.0)
+                                   ? height / glm::dot(normal, delta)
+                                   : aside / length;
+            begin = std::max(begin, off);
+            end = std::min(end, 1.0);
+            if (!(begin < end)) continue;
+            if (count == RayQuery::kAtOnce) look();
+            places[count] = {row, i};
+            parts[count++] = {receiver.point + begin * delta, delta / length,
+                              (end - begin) * length};
+        }
+    }
+    if (count > 0) look();
 }
 
 /// Cuts a row of rays down to their parts in face number `number`, as those of the home

@@ -5,8 +5,10 @@
 // these are nearer to the light than any caster. Of the others the rays are followed
 // through every face that they may meet something in. Surfaces of a face lie in its
 // window, so rays need not be cut where they leave it: what is met twice at a border is
-// blocked once. What lets light through is paid for each time: there a ray is cut into
-// the parts of the definition (trace/traverse.h), by the same numbers in both faces.
+// blocked once. Where casters are as near as the light is wide rays may end in faces that
+// their points are behind: there they are followed one by one. What lets light through is
+// paid for each time: there a ray is cut into the parts of the definition
+// (trace/traverse.h), by the same numbers in both faces.
 //
 // A point's answer does not depend on which others are asked with it.
 #pragma once
@@ -23,6 +25,7 @@
 #include "shadow/light_rays.h"
 #include "shadow/pixel_share.h"
 #include "shadow/query.h"
+#include "shadow/ray_query.h"
 #include "shadow/receiver_places.h"
 #include "shadow/sample_error.h"
 #include "trace/density_trace.h"
@@ -148,6 +151,9 @@ class BundleQuery {
     void followBeyond(std::uint32_t home, const Receiver* receivers, int count,
                       const std::uint32_t* met, int firstGroup,
                       Rays& rays) const noexcept;
+    [[nodiscard]] bool leadsToEye(const Face& face, glm::dvec3 point) const noexcept;
+    void followSingly(std::uint32_t home, std::uint32_t number, const Receiver& receiver,
+                      int homeReceiver, Rays& rays) const noexcept;
     void cut(std::uint32_t home, std::uint32_t number, const Receiver& receiver,
              const RayFates& homeFates, int homeRow, int row, Rays& rays) const noexcept;
     void follow(const Face& face, Rays& rays) const noexcept;
@@ -174,6 +180,7 @@ class BundleQuery {
     bool fixedAxes_;  // are the light's axes the same for all points?
     double capHeight_;
     std::vector<Face> faces_;
+    std::optional<RayQuery> singly_;  // rays in faces that they lead away from the eye of
 };
 
 }  // namespace mtsm::shadow

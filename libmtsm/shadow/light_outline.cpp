@@ -249,6 +249,8 @@ std::optional<trace::RayHull> LightOutline::hull(const Outlook& starts,
         at[axis] = {low - margin, high + margin};
     }
     const Interval w = at[2];
+    // So far apart that rounding takes the farther ones behind what is there.
+    if (o.perspective && !(w.low > 0.0f)) return std::nullopt;
     // How much larger than another a part of the light may seem.
     float tilt = tilt_;
     for (int axis = 0; axis < 2; ++axis) {

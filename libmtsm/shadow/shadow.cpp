@@ -53,10 +53,12 @@ struct Batch {
     [[nodiscard]] glm::dvec3 normal(std::size_t i) const {
         return normals ? normals[i] : glm::dvec3(0.0);
     }
-    /// As bundles take it.
-    [[nodiscard]] shadow::Receiver receiver(std::size_t i) const {
+    /// Sets a receiver as bundles take it. (In place: by value batches of few samples
+    /// take up to a fifth longer.)
+    void set(shadow::Receiver& receiver, std::size_t i) const {
+        receiver.point = points[i];
         const glm::dvec3 n = normal(i);
-        return {points[i], shadow::saysSomething(n) ? n : glm::dvec3(0.0)};
+        receiver.normal = shadow::saysSomething(n) ? n : glm::dvec3(0.0);
     }
     [[nodiscard]] Batch part(std::size_t from, std::size_t size) const {
         Batch b = *this;
@@ -224,7 +226,7 @@ std::vector<std::uint32_t> answerAtSight(const shadow::Query& query,
                 if (alike < std::size_t(trace::kMostReceivers) || !worth.isDue())
                     continue;
                 for (std::size_t k = 0; k < alike; ++k)
-                    receivers[k] = batch.receiver(first + k);
+                    batch.set(receivers[k], first + k);
                 bundles.glance(receivers, int(alike), told, part);
                 std::size_t answered = 0;
                 for (std::size_t k = 0; k < alike; ++k) {
@@ -242,7 +244,7 @@ std::vector<std::uint32_t> answerAtSight(const shadow::Query& query,
     return keys;
 }
 
-/// The same, neighbours together.
+/// Answers all points by bundles, neighbours together.
 template <typename Take>
 void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles,
                   const Batch& batch, QueryStats& stats, const Take& take) {
@@ -272,7 +274,7 @@ void answerGroups(const shadow::Query& query, const shadow::BundleQuery& bundles
                     hwy::Prefetch(batch.options.pixelPoints + batch.first + points.point);
                 for (std::size_t i = points.point; i < points.point + points.count; ++i) {
                     indices[count] = i;
-                    receivers[count++] = batch.receiver(i);
+                    batch.set(receivers[count++], i);
                 }
             }
             first += block.runs;

@@ -154,7 +154,7 @@ TEST_CASE("casters without a usable triangle are a bad file that says why",
         checkNames(e, ErrorCode::badFile, "2 are wholly transparent");
     }
     checkNames(refused([](BakeOptions&) {}, {}), ErrorCode::badFile,
-               "of 0 triangles in 0 meshes");
+               "nothing casts a shadow: there are no meshes, and no strand");
     checkNames(refused([](BakeOptions& o) { o.light.shape = LightShape::sun; }, {broken}),
                ErrorCode::badFile, "nothing casts a shadow: of 3 triangles");
     Mesh facing = square();

@@ -282,13 +282,12 @@ namespace {
 
 /// Part of the disk light that strands hide from a point, with flat ribbons that face the
 /// ray: a grid of points on the light in double.
-double hidden(const Hair& hair, const AreaLight& light, glm::dvec3 p) {
-    constexpr int kSide = 200;
+double hidden(const Hair& hair, const AreaLight& light, glm::dvec3 p, int side = 200) {
     double sum = 0.0;
     int rays = 0;
-    for (int i = 0; i < kSide * kSide; ++i) {
-        const double x = (i % kSide + 0.5) / kSide * 2 - 1;
-        const double y = (i / kSide + 0.5) / kSide * 2 - 1;
+    for (int i = 0; i < side * side; ++i) {
+        const double x = (i % side + 0.5) / side * 2 - 1;
+        const double y = (i / side + 0.5) / side * 2 - 1;
         if (x * x + y * y > 1.0) continue;
         // The light looks down.
         const glm::dvec3 way = light.position + light.radius * glm::dvec3(x, 0, y) - p;
@@ -360,6 +359,39 @@ TEST_CASE("the shadow of hair is right beside the hair itself", "[bake][statisti
     CHECK(shadow > 0.01);
     CHECK(errorWith < 0.001);
     CHECK(errorWithout > 0.01);
+}
+
+TEST_CASE("where layers are few the near field answers farther", "[bake][statistical]") {
+    // In a box of strands, under a light as wide.
+    Random random(21);
+    Hair hair;
+    for (int i = 0; i < 300; ++i) {
+        const glm::vec3 from(random.in(-1, 1), random.in(0, 1.5), random.in(-1, 1));
+        const glm::vec3 way = glm::vec3(random.direction());
+        hair.strand({from, from + 0.5f * way}, 0.02f, 0.7f);
+    }
+    BakeOptions o = lamp();
+    o.light.radius = 1.0;
+    o.layers = 3;
+    const Baked baked = mustBake({hair.view()}, o);
+    std::vector<glm::dvec3> points;
+    for (int i = 0; i < 40; ++i)
+        points.emplace_back(random.in(-0.6, 0.6), random.in(0.1, 0.7),
+                            random.in(-0.6, 0.6));
+    ShadowOptions query;
+    query.samples = 1024;
+    std::vector<float> found(points.size());
+    shadowFactors(baked.map, o.light, points.data(), nullptr, points.size(), found.data(),
+                  query);
+    double error = 0.0, shadow = 0.0;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const double expected = hidden(hair, o.light, points[i], 64);
+        error += std::abs(found[i] - expected) / double(points.size());
+        shadow += expected / double(points.size());
+    }
+    INFO("mean error " << error << " of " << shadow);
+    CHECK(shadow > 0.1);
+    CHECK(error < 0.005);
 }
 
 TEST_CASE("strands wider than a pixel let through what is between them",

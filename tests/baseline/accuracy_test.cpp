@@ -301,6 +301,65 @@ TEST_CASE("a slanted ground does not shadow itself", "[baseline][extreme]") {
     }
 }
 
+TEST_CASE("beside a near field a point light's shadows are those of the triangles",
+          "[baseline][statistical]") {
+    // Blades thinner than a pixel of the map, far above the floor.
+    Mesh blades;
+    std::mt19937_64 random(4);
+    const auto in = [&](double low, double high) {
+        return float(low + (high - low) * double(random() >> 11) * 0x1p-53);
+    };
+    for (std::uint32_t i = 0; i < 400; ++i) {
+        const glm::vec3 a(in(-1, 1), in(1, 2), in(-1, 1));
+        const glm::vec3 along(in(-0.6, 0.6), in(-0.2, 0.2), in(-0.6, 0.6));
+        blades.positions.insert(blades.positions.end(),
+                                {a, a + along, a + glm::vec3(0.012f, 0.0f, 0.012f)});
+        blades.indices.insert(blades.indices.end(), {3 * i, 3 * i + 1, 3 * i + 2});
+    }
+    CasterViews casters({blades.view()});
+    auto truth = EmbreeReference::build(casters);
+    REQUIRE(truth);
+    BakeOptions options;
+    options.light.position = {0.5, 6, 0.3};
+    options.width = options.height = 128;
+    options.nearField = kAutomaticNearField;
+    CasterViews again({blades.view()});
+    auto baked = bake(again, options);
+    REQUIRE(baked);
+    std::vector<glm::dvec3> points, normals;
+    for (int i = 0; i < 4000; ++i) {
+        points.emplace_back(in(-1, 1), 0.0, in(-1, 1));
+        normals.emplace_back(0, 1, 0);
+    }
+    std::vector<float> found(points.size()), expected(points.size());
+    shadowFactors(baked->map, options.light, points.data(), normals.data(), points.size(),
+                  found.data());
+    truth->shadowFactors(options.light, points.data(), normals.data(), points.size(),
+                         expected.data());
+    double dark = 0.0;
+    for (const float f : expected)
+        dark += double(f) / double(points.size());
+    CHECK(dark > 0.1);
+    CHECK(meanError(found, expected) < 0.004);
+}
+
+TEST_CASE("casters in one plane do not shadow themselves", "[baseline][extreme]") {
+    for (const float height : {0.0f, 1.0f, -3.7f}) {
+        const Mesh plate = quad(-1, 1, -1, 1, height);
+        CasterViews casters({plate.view()});
+        auto truth = EmbreeReference::build(casters);
+        REQUIRE(truth);
+        for (const double x : {-0.9, 0.0, 0.31}) {
+            const glm::dvec3 at(x, height, 0.2), below(x, height - 0.5, 0.2), up(0, 1, 0);
+            float found[2] = {-1.0f, -1.0f};
+            truth->shadowFactors(diskAbove(height + 5.0, 0.3), &at, &up, 1, &found[0]);
+            truth->shadowFactors(diskAbove(height + 5.0, 0.3), &below, &up, 1, &found[1]);
+            CHECK(found[0] == 0.0f);
+            CHECK(found[1] == 1.0f);
+        }
+    }
+}
+
 TEST_CASE("vertices that no triangle uses change nothing", "[baseline][extreme]") {
     HoveringBox scene(3);
     Mesh& ground = scene.ground;

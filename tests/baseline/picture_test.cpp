@@ -14,6 +14,7 @@
 #include <optional>
 #include <set>
 
+#include "baseline/reference_embree.h"
 #include "bumpy_mesh.h"
 
 using namespace mtsm;
@@ -528,6 +529,42 @@ TEST_CASE("a camera that cannot see is refused, and says why", "[baseline][bad-i
     }
 }
 
+TEST_CASE("points of a position pass far from the origin are not behind their surface",
+          "[baseline][extreme]") {
+    for (const float away : {0.0f, 500.0f, 5000.0f}) {
+        test::Mesh body = test::bumpyBody(4000);
+        std::vector<glm::vec3> positions, normals;
+        for (glm::vec3& p : body.positions)
+            p += away;
+        for (std::size_t t = 0; t + 2 < body.indices.size(); t += 3) {
+            const glm::dvec3 a = body.positions[body.indices[t]],
+                             b = body.positions[body.indices[t + 1]],
+                             c = body.positions[body.indices[t + 2]];
+            positions.push_back(glm::vec3((a + b + c) / 3.0));
+            normals.push_back(glm::vec3(glm::normalize(glm::cross(b - a, c - a))));
+        }
+        const auto count = std::uint32_t(positions.size());
+        const Picture picture = baseline::pictureOfPass(
+            count, 1, positions, std::vector<std::uint8_t>(count, 1), normals);
+        REQUIRE(picture.points.size() == count);
+        CasterViews casters({body.view()});
+        auto truth = EmbreeReference::build(casters);
+        REQUIRE(truth);
+        // A light a little above each point, which nothing else is in front of.
+        int dark = 0;
+        for (std::size_t i = 0; i < count; ++i) {
+            AreaLight light;
+            light.position = picture.points[i] + 0.01 * picture.normals[i];
+            float found = -1.0f;
+            truth->shadowFactors(light, &picture.points[i], &picture.normals[i], 1,
+                                 &found);
+            dark += found != 0.0f;
+        }
+        INFO(away);
+        CHECK(dark == 0);
+    }
+}
+
 TEST_CASE("a position pass gives its points, without those that are none",
           "[baseline][bad-input]") {
     const float nan = std::nanf("");
@@ -543,7 +580,8 @@ TEST_CASE("a position pass gives its points, without those that are none",
     for (std::size_t p = 0; p < 3; ++p) {
         CHECK(picture.first[p + 1] == p + 1);
         CHECK(picture.object[p] == 1);
-        CHECK(picture.points[p] == glm::dvec3(positions[picture.pixel[p]]));
+        CHECK(glm::length(picture.points[p] - glm::dvec3(positions[picture.pixel[p]])) <
+              1e-6);
         CHECK(picture.starts[p] == picture.points[p]);
         const glm::dvec3 normal =
             picture.pixel[p] == 0 ? glm::dvec3(0, 1, 0) : glm::dvec3(0);

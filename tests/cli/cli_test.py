@@ -885,6 +885,22 @@ class Bake(ToolTest):
         self.assertEqual(one, pathlib.Path("2.mtsm").read_bytes())
         self.assertEqual(one, pathlib.Path("8.mtsm").read_bytes())
 
+    def test_the_height_of_a_rect_is_up(self):
+        def axis(*options):
+            self.good(self.bake("--light-size", "1.6,0.6", *options, "--quiet"))
+            return json.loads(run("dump", "a.mtsm", "--json").stdout)["light"]["up"]
+
+        for position, direction, up in (("3,4,0.5", "-3,-3,-0.5", (0, 1, 0)), ("0,4,0", "0,-1,0", (0, 0, 1))):
+            d = [float(x) for x in direction.split(",")]
+            along = sum(a * b for a, b in zip(up, d)) / sum(a * a for a in d)
+            across = [a - along * b for a, b in zip(up, d)]
+            length = math.sqrt(sum(a * a for a in across))
+            found = axis("--light-position", position, "--light-direction", direction)
+            for a, b in zip(found, across):
+                self.assertAlmostEqual(a, b / length, places=6)
+        found = axis("--light-position", "3,4,0.5", "--light-direction", "-3,-3,-0.5", "--light-up", "0,0,1")
+        self.assertGreater(found[2], 0.9)
+
     def test_trees_are_kept_when_asked_for_and_queries_answer_the_same(self):
         for options in ([], ["--opacity", "0.5"], ["--near-field", "none"]):
             self.bake_map("without.mtsm", *options)

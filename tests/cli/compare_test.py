@@ -107,6 +107,12 @@ class Compare(cli_test.ToolTest):
 
 
 class Help(Compare):
+    def test_what_makes_maps_of_other_casters_than_the_truth_has_is_told(self):
+        for option in (["--near", "0.5"], ["--far", "20"], ["--cull", "back"]):
+            done = self.good(self.compare(*option, "--method", "embree"))
+            self.assertIn("warning: near, far and cull leave casters out of maps alone", done.stderr)
+        self.assertNotIn("near, far and cull", self.good(self.compare("--method", "embree")).stderr)
+
     def test_help_mentions_every_option_and_the_exit_codes(self):
         text = self.good(run("compare", "--help")).stdout
         for option in OPTIONS.split():

@@ -227,12 +227,13 @@ TEST_CASE("a point is answered the same alone, in a batch and in any order",
     }
 }
 
-/// Rows of points on the floor, some of them turned away from the light.
+/// Rows of points level with the floor and far beyond it, some of them turned away from
+/// the light.
 Points rows(int count) {
     Points points;
     for (int y = 0; y < count; ++y) {
         for (int x = 0; x < count; ++x)
-            points.add({6.0 * x / count - 3, kFloor, 6.0 * y / count - 3},
+            points.add({30.0 * x / count - 15, kFloor, 6.0 * y / count - 3},
                        {0, y % 5 == 3 && x > count / 2 ? -1 : 1, 0});
     }
     return points;
@@ -264,6 +265,12 @@ TEST_CASE("rows of a picture are answered the same as its points in any order",
                     const std::vector<float> expected = ask(points, inRows);
                     CHECK(meanOf(expected) > 0.05);
                     CHECK(meanOf(expected) < 0.6);
+                    // Every ray counts, whoever told of it: points turned away have none.
+                    std::size_t turned = 0;
+                    for (const glm::dvec3& n : points.normal)
+                        turned += n.y < 0.0;
+                    const std::size_t each = std::size_t(options.samples);
+                    CHECK(inRows.rays == (points.size() - turned) * each);
                     // The size has no factor in common with the step.
                     std::vector<std::size_t> order(points.size());
                     for (std::size_t i = 0; i < order.size(); ++i)
@@ -280,6 +287,38 @@ TEST_CASE("rows of a picture are answered the same as its points in any order",
             }
         }
     }
+}
+
+TEST_CASE("a point far away changes nothing for its neighbours in a batch",
+          "[shadow][exact][extreme]") {
+    // So wide a view that a point 1e5 times as deep goes by bundles as well.
+    constexpr int kSide = 64, kColumn = 19;
+    constexpr double kTangent = 16.0;
+    MapInfo info = test::plainInfo(kSide, kSide, 8);
+    info.light.shape = LightShape::disk;
+    info.light.radius = 0.01;
+    info.light.direction = {0, 0, -1};
+    info.bias = 0.05f;
+    Projection p = test::plainProjection(kSide, kSide);
+    p.scale = {kSide / 2.0 / kTangent, -kSide / 2.0 / kTangent};
+    const ShadowMap map =
+        test::opaqueOf(test::mapOf(info, p, [](std::uint32_t x, std::uint32_t y) {
+            return std::abs(int(x) - kColumn) < 3 && std::abs(int(y) - kSide / 2) < 4
+                       ? std::vector<test::TestLayer>{{2.0f, 0.0f, 1}}
+                       : std::vector<test::TestLayer>{};
+        }));
+    const double across = (kColumn + 0.5 - kSide / 2.0) / p.scale.x * 4;
+    std::vector<glm::dvec3> points;
+    for (int i = 0; i < 2000; ++i)
+        points.push_back(i % 100 == 7 ? glm::dvec3(0, 0, -6.5e5)
+                                      : glm::dvec3(across + 0.0001 * i, 0.1, -4));
+    std::vector<float> found(points.size());
+    shadowFactors(map, info.light, points.data(), nullptr, points.size(), found.data(),
+                  samplesOf(16));
+    int wrong = 0;
+    for (std::size_t i = 0; i < points.size(); ++i)
+        wrong += found[i] != (i % 100 == 7 ? 0.0f : 1.0f);
+    CHECK(wrong == 0);
 }
 
 TEST_CASE("a batch is answered the same for any number of threads",
@@ -527,4 +566,70 @@ TEST_CASE("a near field does not darken what a far light shines on", "[shadow][d
     query.method = ShadowMethod::scalar;
     ask(expected);
     CHECK(meanOf(found) == Approx(meanOf(expected)).margin(0.02));
+}
+
+TEST_CASE("a light as wide as its distance from a ceiling is answered in six faces",
+          "[shadow][statistical]") {
+    // A room, the eye close below its ceiling, with a block on the floor.
+    const glm::dvec3 low(-3, -2.35, -3), high(3, 0.25, 3);
+    const glm::dvec3 blockLow(0.5, -2.35, 0.5), blockHigh(1.2, -1.35, 1.2);
+    MapInfo info = test::plainInfo(96, 96, 32);
+    info.light.shape = LightShape::disk;
+    info.light.radius = 0.25;
+    info.light.direction = {0, -1, 0};
+    const auto views = test::cubeProjections(96);
+    info.biasPerDepth = float(0.5 * views[0].pixelFootprint(1.0));
+    const ShadowMap map = test::opaqueOf(test::mapOf(
+        info, views, [&](std::uint32_t face, std::uint32_t x, std::uint32_t y) {
+            const glm::dvec3 d = views[face].worldFromLight(
+                views[face].lightFromRaster({x + 0.5, y + 0.5}, 1.0));
+            // Where the ray leaves the room, and where it enters the block.
+            double out = HUGE_VAL, in = 0.0, blockOut = HUGE_VAL;
+            for (int a = 0; a < 3; ++a) {
+                if (d[a] == 0.0) continue;
+                out = std::min(out, std::max(low[a] / d[a], high[a] / d[a]));
+                in = std::max(in, std::min(blockLow[a] / d[a], blockHigh[a] / d[a]));
+                blockOut =
+                    std::min(blockOut, std::max(blockLow[a] / d[a], blockHigh[a] / d[a]));
+            }
+            const double t = in > 0.0 && in < blockOut ? in : out;
+            return std::vector<test::TestLayer>{{float(t), 0.0f, 1}};
+        }));
+    ShadowMap bare = map;
+    REQUIRE(releaseLayers(bare));
+    Random random(8);
+    std::vector<glm::dvec3> points, normals;
+    for (int i = 0; i < 300; ++i) {
+        points.emplace_back(random.in(-2.8, 2.8), -2.349, random.in(-2.8, 2.8));
+        normals.emplace_back(0, 1, 0);
+    }
+    const std::size_t floor = points.size();
+    for (int i = 0; i < 50; ++i) {  // within the block, below its top
+        points.emplace_back(random.in(0.7, 1.0), -1.35 - random.in(0.04, 0.1),
+                            random.in(0.7, 1.0));
+        normals.emplace_back(0, 1, 0);
+    }
+    ShadowOptions options;
+    options.samples = 64;
+    const auto ask = [&](const ShadowMap& asked, ShadowMethod method) {
+        std::vector<float> out(points.size());
+        options.method = method;
+        shadowFactors(asked, info.light, points.data(), normals.data(), points.size(),
+                      out.data(), options);
+        return out;
+    };
+    const std::vector<float> expected = ask(map, ShadowMethod::scalar);
+    for (const ShadowMap* const asked : {&map, static_cast<const ShadowMap*>(&bare)}) {
+        const std::vector<float> found = ask(*asked, ShadowMethod::trace);
+        double away = 0.0, dark = 0.0;
+        for (std::size_t i = 0; i < floor; ++i) {
+            away += std::abs(found[i] - expected[i]) / double(floor);
+            dark += expected[i] / double(floor);
+        }
+        CHECK(dark > 0.05);
+        CHECK(dark < 0.6);
+        CHECK(away < 0.01);
+        for (std::size_t i = floor; i < points.size(); ++i)
+            CHECK(found[i] > 0.95f);
+    }
 }

@@ -93,6 +93,8 @@ void chooseLight(const PlacementOptions& a, const std::vector<CasterFile>& caste
         light = found.light;
         bake.aimed = found.fov || light.shape == LightShape::rect;
         bake.fov = found.fov;
+    } else {
+        light.up = bake.up;
     }
     if (const auto shape = a.light.shape(); shape && (!named || a.light.shapeIndex))
         light.shape = *shape;

@@ -116,6 +116,10 @@ CompareScene::CompareScene(const std::vector<CasterFile>& casters,
                            const std::vector<double>& lightScales, Talk& talk)
     : casters_(std::make_unique<CasterFiles>(casters, filesOptions(talk))) {
     applyPlacement(placement, casters, talk, bake_);
+    if (bake_.near || bake_.far || bake_.cull != Cull::none)
+        talk.warn(
+            "near, far and cull leave casters out of maps alone: the truth and the "
+            "methods that are no maps have all of them");
     bake_.maxBytes = halfOfMemory();
     for (const double scale : lightScales) {
         if (!(scale >= 0.0))

@@ -114,9 +114,9 @@ struct ShadowOptions {
     int firstSamples = 16;  ///< of those two: that every point takes, in groups of 16
     /// A pixel has up to so many points, 1..kMaxPointsPerPixel, which share its samples:
     /// each takes a part of `samples` times as many, so that their mean errs less than
-    /// that of points which know nothing of each other; what lets light through is looked
-    /// at as finely as the pixel's rays need it. Batches only, and large ones: each makes
-    /// the samples of some pixels first.
+    /// that of points which know nothing of each other; what lets light through, and
+    /// surfaces of closed bodies, are looked at as finely as the pixel's rays need it.
+    /// Batches only, and large ones: each makes the samples of some pixels first.
     int pointsPerPixel = 1;
     /// [point], if pointsPerPixel > 1: the pixel's number times pointsPerPixel plus the
     /// point's number in it. Null: points of a pixel follow each other in the batch.
