@@ -645,6 +645,37 @@ void sayNearField(Talk& talk, const BakeReport& r, const Arguments& a) {
         talk.warn(text);
 }
 
+/// Pixels of six faces whose nearest layer lies within a sphere around the eye.
+std::uint64_t pixelsWithin(const ShadowMap& map, double radius) {
+    std::uint64_t count = 0;
+    for (std::uint32_t face = 0; face < map.faceCount(); ++face) {
+        const Projection& p = map.projection(face);
+        if (!(map.zRange(face).min < radius)) continue;
+        for (std::uint32_t y = 0; y < map.info().height; ++y) {
+            for (std::uint32_t x = 0; x < map.info().width; ++x) {
+                const PixelLayers layers = map.pixel(face, x, y);
+                if (layers.count == 0 || layers.z[0] >= radius) continue;
+                const glm::dvec3 at =
+                    p.lightFromRaster({x + 0.5, y + 0.5}, double(layers.z[0]));
+                count += glm::length(at) < radius;
+            }
+        }
+    }
+    return count;
+}
+
+/// Whether a light in a map of six faces reaches into what casts.
+void sayWhatIsInTheLight(Talk& talk, const ShadowMap& map) {
+    const AreaLight& light = map.info().light;
+    if (map.faceCount() == 1 || light.shape != LightShape::sphere) return;
+    constexpr double kTouches = 0.999;
+    if (const std::uint64_t pixels = pixelsWithin(map, kTouches * light.radius))
+        talk.warn(
+            "the light reaches into casters, as " + counted(pixels, "pixel", "pixels") +
+            " of the map see: light passes through what lies inside it; move it, or "
+            "give a smaller --light-radius");
+}
+
 /// The settings that lost or saved layers, and what.
 void sayWhatWasKept(Talk& talk, const Baked& baked, const Arguments& a) {
     const BakeReport& r = baked.report;
@@ -680,6 +711,7 @@ void sayWhatWasKept(Talk& talk, const Baked& baked, const Arguments& a) {
                   " the limit of " + std::to_string(info.maxLayers) +
                   " layers took more than the tolerance allows: raise --layers");
     sayNearField(talk, r, a);
+    sayWhatIsInTheLight(talk, baked.map);
     if (baked.map.layerCount() == 0)
         talk.warn(
             "the map is empty: nothing that casts covers a pixel's centre as the light "

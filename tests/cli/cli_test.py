@@ -885,6 +885,12 @@ class Bake(ToolTest):
         self.assertEqual(one, pathlib.Path("2.mtsm").read_bytes())
         self.assertEqual(one, pathlib.Path("8.mtsm").read_bytes())
 
+    def test_a_light_that_reaches_into_casters_is_told(self):
+        for height, reaches in ((1.2, True), (2, False)):
+            done = self.good(self.bake("--light-shape", "sphere", "--light-radius", 0.3, "--projection", "cube",
+                                       "--light-position", f"0,{height},0", "--resolution", 64))
+            self.assertEqual("warning: the light reaches into casters" in done.stderr, reaches, done.stderr)
+
     def test_the_height_of_a_rect_is_up(self):
         def axis(*options):
             self.good(self.bake("--light-size", "1.6,0.6", *options, "--quiet"))

@@ -107,12 +107,6 @@ class Compare(cli_test.ToolTest):
 
 
 class Help(Compare):
-    def test_what_makes_maps_of_other_casters_than_the_truth_has_is_told(self):
-        for option in (["--near", "0.5"], ["--far", "20"], ["--cull", "back"]):
-            done = self.good(self.compare(*option, "--method", "embree"))
-            self.assertIn("warning: near, far and cull leave casters out of maps alone", done.stderr)
-        self.assertNotIn("near, far and cull", self.good(self.compare("--method", "embree")).stderr)
-
     def test_help_mentions_every_option_and_the_exit_codes(self):
         text = self.good(run("compare", "--help")).stdout
         for option in OPTIONS.split():
@@ -132,6 +126,12 @@ class Help(Compare):
 
 
 class CommandLine(Compare):
+    def test_what_makes_maps_of_other_casters_than_the_truth_has_is_told(self):
+        for option in (["--near", "0.5"], ["--far", "20"], ["--cull", "back"]):
+            done = self.good(self.compare(*option, "--method", "embree"))
+            self.assertIn("warning: near, far and cull leave casters out of maps alone", done.stderr)
+        self.assertNotIn("near, far and cull", self.good(self.compare("--method", "embree")).stderr)
+
     def test_casters_stand_on_a_floor_and_everything_is_written(self):
         done = self.good(self.compare("--method", "mtsm", "--truth", 1024))
         j = self.results()
