@@ -329,6 +329,7 @@ class File:
         self.check_coverage()
         self.read_directory()
         self.read_tiles()
+        self.read_trees()
         self.check_totals()
         self.check_hierarchy()
 
@@ -457,15 +458,17 @@ class File:
         readers = {b"HEAD": self.read_head, b"ATTR": self.read_attributes,
                    b"TOTL": self.read_totals, b"HIER": self.read_hierarchy,
                    b"NEAR": self.read_near, b"HAIR": self.read_hair,
-                   b"CARD": self.read_cards, b"TREE": self.read_trees}
+                   b"CARD": self.read_cards}
         self.out["attributes"] = []
         self.out["nearField"] = [[] for _ in range(self.faces)]
         self.out["nearHair"] = [[] for _ in range(self.faces)]
         self.out["nearSheets"] = None
-        self.out["trees"] = None
+        self.out["trees"] = self.trees = None
         for kind, flags, offset, length, payload_checksum in self.directory:
             name = "block %s" % kind.decode("latin-1")
             payload = self.block(name, kind, flags, offset, length, payload_checksum)
+            if kind == b"TREE":  # of which much follows from the rest
+                self.trees = Cursor(payload, "%s at offset %d" % (name, offset))
             if kind in readers:
                 readers[kind](Cursor(payload, "%s at offset %d" % (name, offset)))
 
@@ -751,12 +754,14 @@ class File:
         return chunks
 
     # S 7.5
-    def read_trees(self, c):
-        if c.fields("I") != 1:
+    def read_trees(self):
+        c = self.trees
+        if c is None or c.fields("I") != 1:
             return
         kind, faces = c.fields("II")
         c.zeros(4)
-        patches = all(planes & HAS_V == 0 for _, _, _, planes, _ in self.tiles)
+        patches = not any(any(v) for face in self.pixels for row in face for pixel in row
+                          for _, v, _ in pixel)
         need(kind == (0 if patches else 1), "%s: trees of kind %d" % (c.what, kind))
         need(faces == self.faces, "%s: %d faces" % (c.what, faces))
         need(1 <= sum(entry[2] for entry in self.tiles) <= 1 << 28,
@@ -810,7 +815,7 @@ class File:
         if len(levels) > 1:
             levels[0] = 0
         sizes += [(sum(levels), ["I", "I"]), (groups, GROUP_COLUMNS), (covers, ["H"])]
-        return dict(levels=levels, lowest=lowest, highest=highest, pieceSize=piece_size)
+        return dict(width=self.width, height=self.height, levels=levels, lowest=lowest, highest=highest, pieceSize=piece_size)
 
     @staticmethod
     def patch_tree(tree, arrays, what):
@@ -854,9 +859,9 @@ class File:
             level = tree["kind"][i] & 31
             need(level < len(tree["levels"]), "%s: %s: level %d" % (what, where, level))
             side = 16 << level
-            for a, b in (("u0", "u1"), ("v0", "v1")):
+            for a, b, limit in (("u0", "u1", tree["width"]), ("v0", "v1", tree["height"])):
                 low, high = tree[a][i], tree[b][i]
-                need(low < high and low // side == (high - 1) // side,
+                need(low < high and low < limit and low // side == (high - 1) // side,
                      "%s: %s: a box not in a tile" % (what, where))
             shared, bumpy = tree["kind"][i] & 32, tree["kind"][i] & 128
             need(not bumpy or (level == 0 and square(i) == 4), "%s: %s: bumpy" % (what, where))
@@ -879,7 +884,9 @@ class File:
         levels = [(self.width, self.height)]
         while levels[-1] != (1, 1):
             levels.append(tuple((n + 1) // 2 for n in levels[-1]))
-        beside = self.faces == 1 and any(entry[0] in (b"HAIR", b"CARD") for entry in self.directory)
+        need(self.width * self.height <= 1 << 28, "%s: too many pixels" % c.what)
+        sheets = self.out["nearSheets"]
+        beside = self.faces == 1 and (self.out["nearHair"][0] or sheets and sheets["chunks"])
         levels = levels[min(len(levels) - 1, 1 if beside else 0):]
         result = []
         for name in ("media", "sheets"):

@@ -157,7 +157,7 @@ struct Frame {
     Totals totals = {};
     Bytes hierarchy;
     Bytes treeBlock;
-    BytesView trees;  ///< the payload of TREE, if they are wanted and known
+    std::optional<BytesView> trees;  ///< the payload of TREE, if wanted and known
     std::uint64_t hierarchyOffset = 0, totalsOffset = 0, treesOffset = 0;
 
     /// That the near field takes so far.
@@ -285,14 +285,17 @@ Status readTiles(const Source& source, const Prefix& prefix, const Index& index,
 
 namespace {
 
-/// What the map's layers are, of which the index, HIER and TOTL tell.
+/// What the map's layers are, of which the index, HIER and TREE tell.
 Result<ShadowMap::LayerFacts> layerFacts(const Index& index, const Prefix& prefix,
                                          const Frame& frame) {
     ShadowMap::LayerFacts facts;
+    bool anyV = false;
     for (const TileEntry& entry : index.tiles) {
         facts.count += entry.layers;
-        facts.isOpaque = facts.isOpaque && !(entry.planes & kHasV);
+        anyV = anyV || (entry.planes & kHasV);
     }
+    // Planes may say no more than that all v are 0.
+    facts.isOpaque = !anyV || areOfOpaque(*frame.trees);
     const TileGrid grid(prefix);
     const auto roots =
         hierarchyRoots(frame.hierarchy, prefix.faces, {grid.tilesX, grid.tilesY});
@@ -306,7 +309,7 @@ Result<ShadowMap> makeMap(const Source& source, const Prefix& prefix, const Inde
                           const ReadLimits& limits, Frame& frame, FileFacts* facts) {
     const std::string& name = source.name();
     if (mayGoWithoutLayers(index, limits)) {
-        if (!frame.trees.empty()) {
+        if (frame.trees) {
             const auto layers = layerFacts(index, prefix, frame);
             if (!layers)
                 return located(layers.error(), name, ": ",
@@ -367,8 +370,8 @@ Result<ShadowMap> readContent(const Source& source, const Prefix& prefix,
             return located(s.error(), name, ": ",
                            blockName(kHier, frame.hierarchyOffset));
     }
-    if (!frame.trees.empty()) {
-        if (auto s = decodeTrees(frame.trees, left - nearBytes, *map); !s)
+    if (frame.trees) {
+        if (auto s = decodeTrees(*frame.trees, left - nearBytes, *map); !s)
             return located(s.error(), name, ": ", blockName(kTree, frame.treesOffset));
     }
     if (facts) {

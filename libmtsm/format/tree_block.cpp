@@ -296,8 +296,8 @@ class Decoder {
     }
 
   private:
-    // Numbers are proved before there is memory for what they count: `sizes_` are those
-    // of the arrays to come.
+    // Numbers that the file decides are proved before there is memory for what they
+    // count: `sizes_` are those of the arrays to come.
     using Part = TreePart<std::uint8_t>;
     struct Size {
         std::uint64_t count;
@@ -362,7 +362,7 @@ class Decoder {
             static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
         // Lists and texels once more, as they come; marks of patches.
         bytes = 2 * bytes + threads * 2 * kTreePartBytes +
-                parts * (sizeof(Part) + sizeof(BytesView));
+                parts * (sizeof(Part) + sizeof(BytesView) + sizeof(std::uint32_t));
         if (bytes > most_)
             return base::makeError(ErrorCode::tooLarge, "takes ", bytes,
                                    " bytes to decode, more than the ", most_,
@@ -513,8 +513,13 @@ Bytes encodeTrees(const ShadowMap& map, Codec codec, int level) {
 }
 
 bool hasKnownTrees(BytesView payload) noexcept {
-    const auto fixed = base::ByteReader(payload).get<TreeFixed>();
-    return payload.size() < sizeof fixed || fixed.revision == kTreeRevision;
+    const auto revision = base::ByteReader(payload).get<std::uint32_t>();
+    return payload.size() < sizeof revision || revision == kTreeRevision;
+}
+
+bool areOfOpaque(BytesView payload) noexcept {
+    return base::ByteReader(payload).get<TreeFixed>().kind ==
+           std::uint32_t(TreeKind::patches);
 }
 
 Status decodeTrees(BytesView payload, std::uint64_t most, const ShadowMap& map) {

@@ -15,6 +15,9 @@ namespace mtsm::format {
 /// Is it of the revision that this library makes and follows? If not it is passed over.
 [[nodiscard]] bool hasKnownTrees(BytesView payload) noexcept;
 
+/// Are they trees of a map that is opaque?
+[[nodiscard]] bool areOfOpaque(BytesView payload) noexcept;
+
 /// Gives the map its trees. No more than `most` bytes are taken for them and for the
 /// work. Errors: badFile, tooLarge.
 Status decodeTrees(BytesView payload, std::uint64_t most, const ShadowMap& map);

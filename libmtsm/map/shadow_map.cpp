@@ -145,6 +145,11 @@ Result<ShadowMap> ShadowMap::createWithoutLayers(MapInfo info, std::vector<MapFa
             return invalid("face ", face, ": depths from ", z.min, " to ", z.max,
                            " are not finite and positive");
     }
+    const bool any = std::any_of(map.faceRanges_, map.faceRanges_ + map.faceCount(),
+                                 [](ZRange z) { return !z.empty(); });
+    if (any != (layers.count > 0))
+        return invalid(layers.count, " layers, and ", any ? "" : "no ",
+                       "depths between which they lie");
     for (MapFace& face : map.faces_)
         dropSpare(face);
     map.finish();

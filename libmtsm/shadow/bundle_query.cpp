@@ -249,7 +249,7 @@ BundleQuery::BundleQuery(const ShadowMap& map, const AreaLight& light,
         RayOptions single;
         single.bias = options.bias;
         single.threshold = options.threshold;
-        singly_.emplace(map, single);
+        singly_.emplace(map, single, true);
     }
     std::optional<std::uint32_t> pattern;
     std::uint32_t met = (1u << map.faceCount()) - 1;
@@ -612,9 +612,12 @@ void BundleQuery::followSingly(std::uint32_t home, std::uint32_t number,
     for (std::uint32_t f = 0; f < 6; ++f)
         z[f] = glm::dot(faces_[f].projection.forward, start);
     const auto& p = faces_[home].projection;
-    const double height = kPlaneHeight * p.pixelFootprint(std::abs(z[home]));
-    const double aside = (media_ ? mediaStart_ * p.pixelFootprint(std::abs(z[home]))
-                                 : kStartBiases * bias_.at(z[home]));
+    const double footprint = p.pixelFootprint(std::abs(z[home]));
+    const double surface = kStartBiases * bias_.at(z[home]);
+    // Sheets are met within the bias, on both sides of where they are.
+    const double height =
+        std::max(kPlaneHeight * footprint, opaque_ ? 0.0 : 0.4 * surface);
+    const double aside = media_ ? mediaStart_ * footprint : surface;
     const glm::dvec3 normal = unitNormal(receiver.normal);
     const glm::dvec3 forward = glm::transpose(worldFromHome) * face.projection.forward;
     const std::uint32_t channels = map_.info().channels;

@@ -98,11 +98,13 @@ bool RayQuery::serves(const ShadowMap& map, const RayOptions& options) {
     return hasTrees(map, options.attenuation, trace::DensityUse::rays);
 }
 
-RayQuery::RayQuery(const ShadowMap& map, const RayOptions& options) noexcept
+RayQuery::RayQuery(const ShadowMap& map, const RayOptions& options,
+                   bool treesAlone) noexcept
     : map_(map),
       options_(options),
       bias_(biasOf(map, options.bias)),
       threshold_(float(thresholdOf(options.threshold))),
+      treesAlone_(treesAlone || !map.hasLayers()),
       faceCount_(map.faceCount()) {
     const auto size = float(std::max(map.info().width, map.info().height));
     if (faceCount_ > 1) border_ = size * 0x1p-21f;
@@ -214,7 +216,7 @@ std::optional<RayQuery::Piece> RayQuery::pieceOf(std::uint32_t number,
     piece.way[2] = float(b.w - double(piece.start[2]));
     const auto least = float(kLeastRise * std::max(std::abs(a.w), std::abs(b.w)));
     if (piece.way[2] >= least) return piece;
-    if (map_.hasLayers()) {
+    if (!treesAlone_) {
         fate.alone = true;
         return std::nullopt;
     }

@@ -27,7 +27,9 @@ class RayQuery {
     /// it leaves single rays through opaque maps to the definition, which is as fast
     /// (tests/bench/NOTES.md).
     [[nodiscard]] static bool serves(const ShadowMap& map, const RayOptions& options);
-    RayQuery(const ShadowMap& map, const RayOptions& options) noexcept;
+    /// `treesAlone`: nothing is left to the definition, as where there are no layers.
+    RayQuery(const ShadowMap& map, const RayOptions& options,
+             bool treesAlone = false) noexcept;
 
     /// Most rays of one call of look().
     static constexpr std::size_t kAtOnce = 256;
@@ -80,6 +82,7 @@ class RayQuery {
     RayOptions options_;
     trace::ZBias bias_;
     float threshold_;
+    bool treesAlone_;
     float border_ = 0.0f;  // as of LightRays, of several faces
     std::uint32_t faceCount_;
     Face faces_[6];

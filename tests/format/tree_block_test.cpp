@@ -261,6 +261,8 @@ TEST_CASE("layers are read where there are no trees that may stand for them",
     const auto other = readBytes(later, treesAlone());
     REQUIRE(other);
     CHECK(identical(map, *other));
+    const Bytes shorter = changed(map, [](Bytes& tree) { tree = Bytes(4, 9); });
+    CHECK(readBytes(shorter, treesAlone()));
     limits = treesAlone();
     limits.maxBytes = other->memoryBytes() - 1;
     checkRefused(later, ErrorCode::tooLarge, "ReadLimits::maxBytes", limits);
@@ -283,6 +285,27 @@ TEST_CASE("layers are read where there are no trees that may stand for them",
     REQUIRE(without);
     CHECK(identical(near(map, false), *without));
     checkSameTrees(map, *without);
+}
+
+TEST_CASE("a map of which every v is -0 is opaque in its file as well", "[format]") {
+    const ShadowMap map =
+        mapOf(plainInfo(20, 20, 8), plainProjection(20, 20),
+              [](std::uint32_t x, std::uint32_t y) {
+                  return std::vector<TestLayer>{{2.0f + 0.01f * float(x + y), -0.0f, 1}};
+              });
+    REQUIRE(map.isOpaque());
+    const Bytes file = withTrees(map);
+    const auto whole = readBytes(file), alone = readBytes(file, treesAlone());
+    REQUIRE(whole);
+    CHECK(identical(map, *whole));
+    REQUIRE(alone);
+    CHECK_FALSE(alone->hasLayers());
+    checkSameTrees(map, *alone);
+    const TempFolder folder;
+    WriteOptions options;
+    options.trees = true;
+    REQUIRE(writeMap(map, folder / "a.mtsm", options));
+    CHECK(readerPy(folder / "a.mtsm", "--quiet").exitCode == 0);
 }
 
 TEST_CASE("damaged trees can be passed over", "[format][bad-input]") {
@@ -337,6 +360,9 @@ TEST_CASE("a TREE block that lies is refused and the message says where",
     check(put(4, 1u), "trees of kind 1, the map's are 0");
     check(put(8, 6u), "has 6 faces, not 1");
     check(put(12, 1u), "reserved bytes are not zero");
+    check([](Bytes& t) { t.clear(); }, "ends within its first 16 bytes");
+    check([](Bytes& t) { t.erase(t.begin() + 8, t.end()); },
+          "ends within its first 16 bytes");
     check([](Bytes& t) { t.erase(t.begin() + 20, t.end()); }, "ends within what it says");
     check(put(16, std::uint64_t(1) << 28), "268435456 groups");
     check(put(24, std::uint64_t(1) << 32), "4294967296 rows");
@@ -394,7 +420,9 @@ TEST_CASE("a TREE block of densities that lies is refused", "[format][bad-input]
         checkRefused(file, ErrorCode::badFile, words, treesAlone());
     };
     // No media; sheets of 7 levels: 48 pixels, 24, 12, 6, 3, 2, 1.
-    check(4, 0u, "trees of kind 0, the map's are 1");
+    // Which of them the layers are must be read to be known.
+    checkRefused(changed(map, [](Bytes& tree) { poke(tree, 4, 0u); }), ErrorCode::badFile,
+                 "trees of kind 0, the map's are 1");
     check(16, 1u, "a pyramid of depths from 0 to 0");
     check(32, 2u, "is there 2 times");
     check(36, NAN, "a pyramid of depths from nan");

@@ -619,6 +619,7 @@ TEST_CASE("a light as wide as its distance from a ceiling is answered in six fac
         return out;
     };
     const std::vector<float> expected = ask(map, ShadowMethod::scalar);
+    CHECK(same(ask(map, ShadowMethod::trace), ask(bare, ShadowMethod::trace)));
     for (const ShadowMap* const asked : {&map, static_cast<const ShadowMap*>(&bare)}) {
         const std::vector<float> found = ask(*asked, ShadowMethod::trace);
         double away = 0.0, dark = 0.0;

@@ -32,9 +32,11 @@
 // steeper ones let some of the light through. Where the map has a near field
 // (mtsm/near_field.h), what lies within 32 pixel footprints of depth above the receiver
 // is met exactly, of slender leaves up to 256 while the light, seen through the receiver,
-// is less than 8 pixels wide; beside strands (maps of one face) and sheets
+// is less than 8 pixels wide, and at least until it is one pixel wide, so to a light of
+// no size all the way; beside strands (maps of one face) and sheets
 // (mtsm/near_sheets.h) up to where it is 3 to 8 pixels wide, the less the fewer samples
-// there are (sheets: their root, strands: half of it): layers filter their noise. The
+// there are (sheets: their root, strands: half of it): layers filter their noise; four
+// times as wide where MapInfo::maxLayers is 1 to 8, for such few layers say little. The
 // strand on which a receiver lies, in whichever of its segments, does not darken it
 // within a width from there; so give the very point where a renderer's rays start.
 // Visibility of media and sheets is kept to .0004. Of six faces each is followed by
