@@ -171,7 +171,7 @@ void addFileOptions(CLI::App& app, Arguments& a) {
     app.add_flag("--tree", a.tree,
                  "keep what queries go through as well, which they else\n"
                  "make anew of each map that is opened: it opens 4 to 10\n"
-                 "times as fast; its file grows by 1 MB to twice its size")
+                 "times as fast, and its file takes some MB more")
         ->group(group);
 }
 

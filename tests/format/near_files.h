@@ -42,8 +42,19 @@ inline format::Bytes encoded(const ShadowMap& map, Codec codec = Codec::zstd) {
     return *encodeMap(map, options);
 }
 
-/// Changes bytes of a block's payload at random, or cuts or lengthens it, and reads the
-/// file: a map or an error, each often enough to mean something.
+/// Changes some bytes of a payload at random, or cuts or lengthens it.
+inline void damage(format::Bytes& payload, std::mt19937_64& random) {
+    for (std::uint64_t n = 1 + random() % 3; n > 0; --n) {
+        const std::size_t at = random() % payload.size();
+        if (random() % 8 == 0)
+            payload.resize(random() % 2 ? at + 1 : payload.size() + at % 40);
+        else
+            payload[at] = std::uint8_t(random());
+    }
+}
+
+/// Damages a block's payload and reads the file: a map or an error, each often enough to
+/// mean something.
 inline void checkDamaged(const std::vector<format::Bytes>& files,
                          const format::BlockType& type, int rounds) {
     std::mt19937_64 random(23);
@@ -52,14 +63,7 @@ inline void checkDamaged(const std::vector<format::Bytes>& files,
     int read = 0, refused = 0;
     for (int i = 0; i < rounds; ++i) {
         Surgery s(files[std::size_t(i) % files.size()]);
-        format::Bytes& payload = s.payload(type);
-        for (std::uint64_t n = 1 + random() % 3; n > 0; --n) {
-            const std::size_t at = random() % payload.size();
-            if (random() % 8 == 0)
-                payload.resize(random() % 2 ? at + 1 : payload.size() + at % 40);
-            else
-                payload[at] = std::uint8_t(random());
-        }
+        damage(s.payload(type), random);
         (readBytes(s.close(), limits) ? read : refused) += 1;
     }
     CHECK(refused > rounds / 10);

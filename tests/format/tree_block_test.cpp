@@ -500,14 +500,7 @@ TEST_CASE("of random changes in a TREE block comes an error or a map that can be
     int read = 0, refused = 0;
     for (int i = 0; i < 3000; ++i) {
         Surgery s(files[std::size_t(i) % files.size()]);
-        Bytes& payload = s.payload(kTree);
-        for (std::uint64_t n = 1 + random() % 4; n > 0; --n) {
-            const std::size_t at = random() % payload.size();
-            if (random() % 16 == 0)
-                payload.resize(random() % 2 ? at + 1 : payload.size() + at % 40);
-            else
-                payload[at] = std::uint8_t(random());
-        }
+        damage(s.payload(kTree), random);
         const auto map = readBytes(s.close(), limits);
         (map ? read : refused) += 1;
         if (!map) continue;
