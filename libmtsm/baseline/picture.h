@@ -80,8 +80,8 @@ struct Picture {
 
 /// Points of a position pass, one a pixel: [height][width] positions, `surface` 0 where
 /// there is none, normals of any length, or none at all. Points lie as far above their
-/// surface as floats may have rounded them. What is caster and what is not
-/// cannot be told: all count as object.
+/// surface as floats may have rounded them. What is caster and what is not cannot be
+/// told: all count as object.
 [[nodiscard]] Picture pictureOfPass(std::uint32_t width, std::uint32_t height,
                                     const std::vector<glm::vec3>& positions,
                                     const std::vector<std::uint8_t>& surface,

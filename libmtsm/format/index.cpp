@@ -72,13 +72,18 @@ Status checkExtent(std::uint64_t offset, std::uint64_t length, std::uint64_t end
 
 }  // namespace
 
+bool wantsTrees(const Index& index, const ReadLimits& limits) noexcept {
+    const bool near =
+        std::any_of(index.blocks.begin(), index.blocks.end(),
+                    [](const DirectoryEntry& e) { return isOfNearField(e.type); });
+    return limits.trees && (limits.nearField || !near);
+}
+
 bool mayGoWithoutLayers(const Index& index, const ReadLimits& limits) noexcept {
-    bool hasTree = false, hasNear = false;
-    for (const DirectoryEntry& entry : index.blocks) {
-        hasTree |= entry.type == kTree;
-        hasNear |= isOfNearField(entry.type);
-    }
-    return !limits.layers && limits.trees && hasTree && (limits.nearField || !hasNear);
+    const bool trees =
+        std::any_of(index.blocks.begin(), index.blocks.end(),
+                    [](const DirectoryEntry& e) { return e.type == kTree; });
+    return !limits.layers && trees && wantsTrees(index, limits);
 }
 
 Error overMemory(std::uint64_t needed, const ReadLimits& limits) {

@@ -47,6 +47,9 @@ Status checkLimits(const Prefix& prefix, const ReadLimits& limits);
 /// Bytes that the INDX payload may take at most.
 [[nodiscard]] std::uint64_t mostIndexBytes(const Prefix& prefix) noexcept;
 
+/// Are trees in the file those of the queries to come? Trees beside a near field are not
+/// if that is passed over.
+[[nodiscard]] bool wantsTrees(const Index& index, const ReadLimits& limits) noexcept;
 /// May the map be read without its layers? If the trees in the file are good for that.
 [[nodiscard]] bool mayGoWithoutLayers(const Index& index,
                                       const ReadLimits& limits) noexcept;
@@ -57,8 +60,7 @@ Status checkLimits(const Prefix& prefix, const ReadLimits& limits);
 /// Checks every entry by itself, that all blocks together cover the file from the prefix
 /// to `indexOffset` without gap or overlap, that each block that must be there is there
 /// once, and that what the tiles decode to keeps within the limits, if they have to be
-/// decoded. Errors: badFile,
-/// unsupported, tooLarge.
+/// decoded. Errors: badFile, unsupported, tooLarge.
 Result<Index> decodeIndex(BytesView payload, const Prefix& prefix,
                           std::uint64_t indexOffset, const ReadLimits& limits);
 

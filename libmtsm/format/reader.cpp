@@ -349,13 +349,9 @@ Result<ShadowMap> readContent(const Source& source, const Prefix& prefix,
     const std::uint64_t left =
         limits.maxBytes - index->memory -
         (mayGoWithoutLayers(*index, limits) ? 0 : index->tileMemory);
-    const bool hasNear =
-        std::any_of(index->blocks.begin(), index->blocks.end(),
-                    [](const DirectoryEntry& e) { return isOfNearField(e.type); });
     Wanted wanted;
     if (limits.nearField) wanted.nearBytes = left;
-    // Trees beside a near field are not those that queries without it go through.
-    wanted.trees = limits.trees && (limits.nearField || !hasNear);
+    wanted.trees = wantsTrees(*index, limits);
     for (const DirectoryEntry& entry : index->blocks) {
         if (auto s = readDirectoryBlock(source, prefix, entry, wanted, buffer, frame); !s)
             return located(s.error(), name, ": ", blockName(entry.type, entry.offset));

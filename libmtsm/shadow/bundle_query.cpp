@@ -93,16 +93,20 @@ double narrowOf(const light::LightSampler& light, const Projection& p, double fa
     return width * kNarrowMost > away ? away / width : kNarrowMost;
 }
 
-double hairWidth(const ShadowMap& map, std::uint32_t samples) noexcept {
+/// Pixels that the light is wide where a near field of hair or sheets ends.
+double widthOf(const ShadowMap& map, std::uint32_t samples, double apart, double least,
+               double most) noexcept {
     const double farther = isCapped(map) ? kCappedFarther : 1.0;
-    return std::clamp(farther * kHairApart * std::sqrt(double(samples)), kHairLeastWidth,
-                      farther * kHairWidth);
+    return std::clamp(farther * apart * std::sqrt(double(samples)), least,
+                      farther * most);
+}
+
+double hairWidth(const ShadowMap& map, std::uint32_t samples) noexcept {
+    return widthOf(map, samples, kHairApart, kHairLeastWidth, kHairWidth);
 }
 
 double sheetWidth(const ShadowMap& map, std::uint32_t samples) noexcept {
-    const double farther = isCapped(map) ? kCappedFarther : 1.0;
-    return std::clamp(farther * kSheetApart * std::sqrt(double(samples)),
-                      kSheetLeastWidth, farther * kSheetWidth);
+    return widthOf(map, samples, kSheetApart, kSheetLeastWidth, kSheetWidth);
 }
 
 LightRays::Setting settingOf(const ShadowMap& map, const light::LightSampler& light,
@@ -284,13 +288,18 @@ void BundleQuery::addRays(Face& face, bool normals,
                  alike);
 }
 
+/// What a way is along the views of six faces.
+void BundleQuery::alongFaces(glm::dvec3 way, double (&depths)[6]) const noexcept {
+    for (std::uint32_t f = 0; f < 6; ++f)
+        depths[f] = glm::dot(faces_[f].projection.forward, way);
+}
+
 /// One bit for each face: may rays from the point to the light meet something there?
 /// Always its own.
 std::uint32_t BundleQuery::facesMet(std::uint32_t home, glm::dvec3 point) const noexcept {
     const glm::dvec3 p = point - faces_[0].projection.eye;
     double z[6];
-    for (std::uint32_t f = 0; f < 6; ++f)
-        z[f] = glm::dot(faces_[f].projection.forward, p);
+    alongFaces(p, z);
     const double slack = 1e-6 * z[home];
     std::uint32_t met = 1u << home;
     for (std::uint32_t f = 0; f < 6; ++f) {
@@ -609,8 +618,7 @@ void BundleQuery::followSingly(std::uint32_t home, std::uint32_t number,
     const glm::dmat3 worldFromHome = glm::transpose(faces_[home].turn);
     const glm::dvec3 start = receiver.point - faces_[0].projection.eye;
     double z[6];
-    for (std::uint32_t f = 0; f < 6; ++f)
-        z[f] = glm::dot(faces_[f].projection.forward, start);
+    alongFaces(start, z);
     const auto& p = faces_[home].projection;
     const double footprint = p.pixelFootprint(std::abs(z[home]));
     const double surface = kStartBiases * bias_.at(z[home]);
@@ -659,8 +667,7 @@ void BundleQuery::followSingly(std::uint32_t home, std::uint32_t number,
             if (z[number] + std::max(rise, 0.0) < face.nearest) continue;
             const glm::dvec3 delta = worldFromHome * inHome;
             double change[6];
-            for (std::uint32_t f = 0; f < 6; ++f)
-                change[f] = glm::dot(faces_[f].projection.forward, delta);
+            alongFaces(delta, change);
             auto [begin, end] = partIn(number, z, change);
             const double length = glm::length(delta);
             // As far off the receiver's own surface as elsewhere.
@@ -687,8 +694,7 @@ void BundleQuery::cut(std::uint32_t home, std::uint32_t number, const Receiver& 
     const glm::dmat3 worldFromHome = glm::transpose(faces_[home].turn);
     const glm::dvec3 start = receiver.point - faces_[0].projection.eye;
     double z[6];
-    for (std::uint32_t f = 0; f < 6; ++f)
-        z[f] = glm::dot(faces_[f].projection.forward, start);
+    alongFaces(start, z);
     trace::RayBundle& bundle = rays.bundle;
     for (std::uint32_t rest = bundle.open[row]; rest; rest &= rest - 1) {
         const int i = std::countr_zero(rest);
@@ -697,8 +703,7 @@ void BundleQuery::cut(std::uint32_t home, std::uint32_t number, const Receiver& 
                                        homeFates.delta[1][homeRow][i],
                                        homeFates.delta[2][homeRow][i]);
         double change[6];
-        for (std::uint32_t f = 0; f < 6; ++f)
-            change[f] = glm::dot(faces_[f].projection.forward, delta);
+        alongFaces(delta, change);
         const auto [begin, end] = partIn(number, z, change);
         const double way = rays.fates.way[row][i];
         const double last = z[number] + way * change[number];

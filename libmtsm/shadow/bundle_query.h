@@ -151,6 +151,7 @@ class BundleQuery {
     void followBeyond(std::uint32_t home, const Receiver* receivers, int count,
                       const std::uint32_t* met, int firstGroup,
                       Rays& rays) const noexcept;
+    void alongFaces(glm::dvec3 way, double (&depths)[6]) const noexcept;
     [[nodiscard]] bool leadsToEye(const Face& face, glm::dvec3 point) const noexcept;
     void followSingly(std::uint32_t home, std::uint32_t number, const Receiver& receiver,
                       int homeReceiver, Rays& rays) const noexcept;

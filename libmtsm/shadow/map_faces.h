@@ -13,8 +13,7 @@ namespace mtsm::shadow {
 inline constexpr double kNearDepth = 32.0;
 
 /// Can rays go through trees over the map's layers? It fits them (trace/fits_trees.h),
-/// and there is memory.
-/// Makes the trees.
+/// and there is memory. Makes the trees.
 [[nodiscard]] bool hasTrees(const ShadowMap& map, Attenuation attenuation,
                             trace::DensityUse use);
 

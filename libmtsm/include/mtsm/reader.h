@@ -27,8 +27,8 @@ struct ReadLimits {
     /// 12 bytes for each of its layers or pixels; of a near field the stored bytes,
     /// triangles once more, and, for each thread, the largest of the parts that it is
     /// stored in; of trees the stored bytes and twice what they take. Not counted: the
-    /// index and the hierarchy as they are stored, which are a part of the file, and what
-    /// maxAttributeBytes bounds, each at most twice.
+    /// index and the hierarchy as they are stored, which are a part of the file, and
+    /// what maxAttributeBytes bounds, each at most twice.
     std::uint64_t maxBytes = std::uint64_t(8) << 30;
     /// Over all faces. By default all that a map may have.
     std::uint64_t maxPixels = std::uint64_t(6) * kMaxResolution * kMaxResolution;
