@@ -1,4 +1,11 @@
 // measureCasters(): what there is, before a bake's settings are chosen.
+#include <cmath>
+#include <glm/common.hpp>
+#include <glm/geometric.hpp>
+#include <glm/mat3x3.hpp>
+#include <glm/mat4x4.hpp>
+#include <glm/matrix.hpp>
+#include <glm/vec3.hpp>
 #include <variant>
 
 #include "bake/face.h"
@@ -6,9 +13,48 @@
 #include "mtsm/bake.h"
 
 namespace mtsm {
+namespace {
+
+/// How wide strands are along all of their length, and the box around them; world space.
+class StrandWidths {
+  public:
+    void add(const StrandsView& strands) {
+        const glm::dmat4& m = strands.worldFromObject;
+        const double grown = std::cbrt(std::abs(glm::determinant(glm::dmat3(m))));
+        const auto at = [&](std::size_t i) {
+            return glm::dvec3(m * glm::dvec4(glm::dvec3(strands.points[i]), 1.0));
+        };
+        const auto widthAt = [&](std::size_t i) {
+            return strands.widths ? double(strands.widths[i]) : double(strands.width);
+        };
+        for (std::size_t s = 0; s < strands.strandCount; ++s) {
+            for (std::size_t i = strands.begin[s] + 1; i < strands.begin[s + 1]; ++i) {
+                const glm::dvec3 a = at(i - 1), b = at(i);
+                const double length = glm::distance(a, b);
+                if (!std::isfinite(length)) continue;
+                low_ = glm::min(low_, glm::min(a, b));
+                high_ = glm::max(high_, glm::max(a, b));
+                length_ += length;
+                area_ += length * grown * 0.5 * (widthAt(i - 1) + widthAt(i));
+            }
+        }
+    }
+    /// The mean width, of the box's diagonal.
+    [[nodiscard]] float mean() const {
+        const double size = length_ * glm::distance(low_, high_);
+        return size > 0.0 ? float(area_ / size) : 0.0f;
+    }
+
+  private:
+    glm::dvec3 low_{HUGE_VAL}, high_{-HUGE_VAL};
+    double length_ = 0.0, area_ = 0.0;
+};
+
+}  // namespace
 
 Result<CasterMeasures> measureCasters(CasterSource& casters) {
     CasterMeasures found;
+    StrandWidths widths;
     const BakeOptions none;
     const bake_detail::Progress progress(none);
     bake_detail::Visits visits(casters, progress);
@@ -19,12 +65,14 @@ Result<CasterMeasures> measureCasters(CasterSource& casters) {
             found.letThrough = found.letThrough || !bake_detail::isSolid(*mesh);
         } else if (const auto* strands = std::get_if<StrandsView>(&caster)) {
             found.strands += strands->strandCount;
+            widths.add(*strands);
         } else if (const auto* volume = std::get_if<VolumeView>(&caster)) {
             if (volume->blockCount > 0 && volume->extinction > 0.0f) ++found.volumes;
         }
         return {};
     });
     if (!status) return status.error();
+    found.strandWidth = widths.mean();
     return found;
 }
 

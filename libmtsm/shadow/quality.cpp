@@ -39,17 +39,20 @@ KindError errorOf(MapKind kind) noexcept {
     }
 }
 
+constexpr float kWidestStrand = 4.0f;  // pixels
+
 constexpr std::uint32_t kResolutions[] = {256, 512, 1024, 2048, 4096};
 /// The smallest and the largest of them that are chosen. Beyond, maps of a kind were
 /// little better, or too large.
 struct Choice {
     std::uint32_t least, most;
 };
-Choice choiceFor(MapKind kind, float meanError) noexcept {
+Choice choiceFor(MapKind kind, const CasterMeasures& casters, float meanError) noexcept {
     if (kind == MapKind::nearSheets || kind == MapKind::nearHair) {
-        const std::uint32_t one = meanError > 0.01f    ? 512
-                                  : meanError < 0.005f ? 2048
-                                                       : 1024;
+        std::uint32_t one = meanError > 0.01f ? 512 : meanError < 0.005f ? 2048 : 1024;
+        // Strands of many pixels have no more of it, and take the more layers.
+        while (one > 512 && casters.strandWidth * float(one) > kWidestStrand)
+            one /= 2;
         return {one, one};
     }
     return {kind == MapKind::volume ? 256u : 512u,
@@ -266,7 +269,7 @@ MapSettings mapSettingsFor(const CasterMeasures& casters, float meanError,
     settings.tolerance = std::clamp(meanError, 0.002f, 0.02f);
     chooseKind(casters, form, settings);
     const float budget = meanError * (1.0f - kSamplesShare);
-    const Choice choice = choiceFor(settings.kind, meanError);
+    const Choice choice = choiceFor(settings.kind, casters, meanError);
     for (const std::uint32_t resolution : kResolutions) {
         if (resolution < choice.least) continue;
         if (resolution > choice.most) break;

@@ -63,21 +63,37 @@ constexpr float kLeastRise = 0x1p-12f;
 // From a strand's middle line, in half widths: a receiver that is no further lies on it,
 // and one that is further does not meet it within a width.
 constexpr float kWithin = 1.05f, kClose = 4.0f;
+/// So many of the segments that are close to a receiver are met with what they are joined
+/// to in mind, a bit each. If there are more, as where hair is dense or its segments are
+/// shorter than wide, only those so much closer are.
+constexpr int kMostClose = 64;
+constexpr float kCloser = 0.7f;
+using CloseSet = std::uint64_t;
 
 /// a + t (b - a)
 HWY_INLINE Vec between(Vec a, Vec b, Vec t) {
     return hn::Add(a, hn::Mul(t, hn::Sub(b, a)));
 }
 
-/// A chunk's segments in floats, [segment].
-struct Segments {
-    alignas(64) float at[2][3][kSegments];  // [end][axis][segment]
-    alignas(64) float half[2][kSegments];
+/// Segments in floats, [segment].
+template <int kRoom>
+struct Ends {
+    alignas(64) float at[2][3][kRoom];  // [end][axis][segment]
+    alignas(64) float half[2][kRoom];
+
+    [[nodiscard]] Vec3 load(int end, std::size_t i) const {
+        const Floats d;
+        return {hn::Load(d, at[end][0] + i), hn::Load(d, at[end][1] + i),
+                hn::Load(d, at[end][2] + i)};
+    }
+};
+
+/// A chunk's.
+struct Segments : Ends<kSegments> {
     alignas(64) float opacity[kSegments];  // 65535ths; 0: there is none
     std::uint32_t present = 0;
     float step[3];  // of the grid on which their ends lie
 
-    Segments() {}  // of none
     Segments(const NearHairChunks& chunks, std::size_t index) {
         const NearHairChunks::Packed& chunk = chunks.packed(index);
         const NearHairChunks::Row* const more = chunks.more(chunk);
@@ -121,11 +137,6 @@ struct Segments {
         }
         std::copy_n(chunk.step, 3, step);
     }
-    [[nodiscard]] Vec3 load(int end, std::size_t i) const {
-        const Floats d;
-        return {hn::Load(d, at[end][0] + i), hn::Load(d, at[end][1] + i),
-                hn::Load(d, at[end][2] + i)};
-    }
 };
 
 /// Segments that wait for a receiver to look at them, from its start.
@@ -161,14 +172,26 @@ struct SeenSegments {
 
 /// Segments that may be of a receiver's own strand.
 struct CloseSegments {
-    Segments segments;
+    struct Segment {
+        float at[2][3], half[2], opacity;  // as Segments has them
+        float step[3];                     ///< of the grid on which its ends lie
+    };
+    Segment segments[kMostClose];
     int count = 0;
-    float depth[kSegments];
-    float step[kSegments][3];  ///< of the grids on which their ends lie
+    float halves = kClose;  ///< how close they are
 
-    int left[kSegments];        ///< the one that ends where this one begins; -1: none
-    std::uint32_t joinedRight;  ///< those that have one where they end
+    int left[kMostClose];  ///< the one that ends where this one begins; -1: none
+    CloseSet joinedRight;  ///< those that have one where they end
 
+    void load(Ends<kMostClose>& ends) const {
+        for (int i = 0; i < count; ++i) {
+            for (int e = 0; e < 2; ++e) {
+                for (int axis = 0; axis < 3; ++axis)
+                    ends.at[e][axis][i] = segments[i].at[e][axis];
+                ends.half[e][i] = segments[i].half[e];
+            }
+        }
+    }
     /// Finds what is joined.
     void join() {
         joinedRight = 0;
@@ -178,17 +201,17 @@ struct CloseSegments {
                 // Of two that lie back to back neither hides the other.
                 if (i == j || !follows(j, i) || (j < i && left[j] == i)) continue;
                 left[i] = j;
-                joinedRight |= 1u << j;
+                joinedRight |= CloseSet(1) << j;
             }
         }
     }
     /// Those of a set and what is joined to it.
-    [[nodiscard]] std::uint32_t strandOf(std::uint32_t set) const {
-        for (std::uint32_t before = 0; before != set;) {
+    [[nodiscard]] CloseSet strandOf(CloseSet set) const {
+        for (CloseSet before = 0; before != set;) {
             before = set;
             for (int i = 0; i < count; ++i) {
                 if (left[i] < 0) continue;
-                const std::uint32_t both = 1u << i | 1u << left[i];
+                const CloseSet both = CloseSet(1) << i | CloseSet(1) << left[i];
                 if (set & both) set |= both;
             }
         }
@@ -199,8 +222,8 @@ struct CloseSegments {
     /// Does j begin where i ends?
     [[nodiscard]] bool follows(int i, int j) const {
         for (int axis = 0; axis < 3; ++axis) {
-            const float most = 0.51f * (step[i][axis] + step[j][axis]);
-            if (!(std::abs(segments.at[1][axis][i] - segments.at[0][axis][j]) <= most))
+            const float most = 0.51f * (segments[i].step[axis] + segments[j].step[axis]);
+            if (!(std::abs(segments[i].at[1][axis] - segments[j].at[0][axis]) <= most))
                 return false;
         }
         return true;
@@ -232,11 +255,12 @@ class HairWalk {
     /// Middle lines of close segments in light space, as toLight() has it, from the
     /// receiver.
     struct CloseLines {
-        alignas(64) float from[3][kSegments], along[3][kSegments];
+        alignas(64) float from[3][kMostClose], along[3][kMostClose];
         /// along . along, along . from, from . from
-        alignas(64) float along2[kSegments], both[kSegments], from2[kSegments];
+        alignas(64) float along2[kMostClose], both[kMostClose], from2[kMostClose];
         /// Where it begins, and how much more where it ends.
-        alignas(64) float half[kSegments], widen[kSegments];
+        alignas(64) float half[kMostClose], widen[kMostClose];
+        float depth[kMostClose];
     };
 
     void setUp(int receiver);
@@ -246,12 +270,14 @@ class HairWalk {
     [[nodiscard]] bool isAround(const NearBoxes& boxes, int i, int lane) const;
     void chunk(std::size_t index, std::uint32_t lanes, std::uint32_t around);
     [[nodiscard]] std::uint32_t putAside(int lane, const Segments& segments);
-    [[nodiscard]] std::uint32_t within(int lane, const Segments& segments,
-                                       float halves) const;
+    [[nodiscard]] bool makeRoom(int lane);
+    template <int kRoom>
+    [[nodiscard]] CloseSet within(int lane, const Ends<kRoom>& ends, int count,
+                                  float halves) const;
     void meetClose(int lane);
     [[nodiscard]] Vec3 toLight(int lane, const Vec3& way) const;
     [[nodiscard]] Vec3 fromStart(int lane, const Vec3& place) const;
-    [[nodiscard]] CloseLines linesOf(int lane, const Segments& segments) const;
+    void findLines(int lane, int count, CloseLines& lines) const;
     [[nodiscard]] std::uint32_t meets(int lane, const CloseSegments& close,
                                       const CloseLines& lines, int i, bool own,
                                       const Vec3& ray) const;
@@ -295,6 +321,7 @@ class HairWalk {
     RowBounds bounds_[kMostMediaRows];  // of receivers in bounded_
     std::uint32_t bounded_ = 0;
     CloseSegments close_[kMostReceivers];
+    Ends<kMostClose> ends_;  // of those of one receiver, while they are looked at
     WaitingSegments waiting_[kMostReceivers];
 };
 
@@ -524,20 +551,58 @@ void HairWalk::look(int lane) {
 /// Segments that wait for meetClose(): those close to the receiver, while there is room.
 std::uint32_t HairWalk::putAside(int lane, const Segments& segments) {
     CloseSegments& close = close_[lane];
+    const auto closeTo = [&] {
+        return std::uint32_t(within(lane, segments, kSegments, close.halves));
+    };
     std::uint32_t aside = 0;
-    for (std::uint32_t rest = within(lane, segments, kClose);
-         rest && close.count < kSegments; rest &= rest - 1) {
-        const int i = std::countr_zero(rest), to = close.count++;
+    for (std::uint32_t rest = closeTo() & segments.present; rest; rest &= rest - 1) {
+        if (close.count == kMostClose) {
+            if (!makeRoom(lane)) break;
+            if ((rest &= closeTo()) == 0) break;
+        }
+        const int i = std::countr_zero(rest);
+        CloseSegments::Segment& to = close.segments[close.count++];
         for (int e = 0; e < 2; ++e) {
             for (int axis = 0; axis < 3; ++axis)
-                close.segments.at[e][axis][to] = segments.at[e][axis][i];
-            close.segments.half[e][to] = segments.half[e][i];
+                to.at[e][axis] = segments.at[e][axis][i];
+            to.half[e] = segments.half[e][i];
         }
-        std::copy_n(segments.step, 3, close.step[to]);
-        close.depth[to] = depthOf(std::uint16_t(segments.opacity[i]));
+        to.opacity = segments.opacity[i];
+        std::copy_n(segments.step, 3, to.step);
         aside |= 1u << i;
     }
     return aside;
+}
+
+/// Has the farthest of a receiver's close segments wait with all others; false: none is
+/// further than a segment that it lies on.
+bool HairWalk::makeRoom(int lane) {
+    CloseSegments& close = close_[lane];
+    WaitingSegments& waiting = waiting_[lane];
+    const float start[3] = {rays_.u[lane], rays_.v[lane], rays_.w[lane]};
+    while (close.count == kMostClose && close.halves > kWithin) {
+        close.halves = std::max(kCloser * close.halves, kWithin);
+        close.load(ends_);
+        const CloseSet stay = within(lane, ends_, close.count, close.halves);
+        int kept = 0;
+        for (int i = 0; i < kMostClose; ++i) {
+            const CloseSegments::Segment& segment = close.segments[i];
+            if (stay >> i & 1) {
+                close.segments[kept++] = segment;
+                continue;
+            }
+            for (int e = 0; e < 2; ++e) {
+                for (int axis = 0; axis < 3; ++axis)
+                    waiting.at[e][axis][waiting.count] =
+                        segment.at[e][axis] - start[axis];
+                waiting.half[e][waiting.count] = segment.half[e];
+            }
+            waiting.opacity[waiting.count] = segment.opacity;
+            if (++waiting.count >= kSegments) look(lane);
+        }
+        close.count = kept;
+    }
+    return close.count < kMostClose;
 }
 
 /// The receiver's rays and what is close to it: ribbons that face each ray, with round
@@ -546,11 +611,13 @@ std::uint32_t HairWalk::putAside(int lane, const Segments& segments) {
 void HairWalk::meetClose(int lane) {
     CloseSegments& close = close_[lane];
     if (close.count == 0) return;
-    Segments& segments = close.segments;
-    segments.present = (1u << close.count) - 1;
     close.join();
-    const std::uint32_t own = close.strandOf(within(lane, segments, kWithin));
-    const CloseLines lines = linesOf(lane, segments);
+    close.load(ends_);
+    const CloseSet own = close.strandOf(within(lane, ends_, close.count, kWithin));
+    CloseLines lines;
+    findLines(lane, close.count, lines);
+    for (int i = 0; i < close.count; ++i)
+        lines.depth[i] = depthOf(std::uint16_t(close.segments[i].opacity));
     const Floats d;
     for (int group = 0; group < rays_.groups; ++group) {
         const int row = rays_.row(lane, group);
@@ -558,13 +625,13 @@ void HairWalk::meetClose(int lane) {
             Vec3 ray = toLight(lane, {hn::Load(d, slopeU_[row] + k),
                                       hn::Load(d, slopeV_[row] + k), hn::Set(d, 1.0f)});
             ray = scaled(ray, hn::Div(hn::Set(d, 1.0f), hn::Sqrt(dot(ray, ray))));
-            std::uint32_t met[kSegments], any = 0;
+            std::uint32_t met[kMostClose], any = 0;
             for (int i = 0; i < close.count; ++i)
                 any |= met[i] = meets(lane, close, lines, i, own >> i & 1, ray);
             for (int i = 0; any && i < close.count; ++i) {
                 const std::uint32_t before = close.left[i] >= 0 ? met[close.left[i]] : 0;
                 const Vec more = hn::IfThenElseZero(maskOf(met[i] & ~before),
-                                                    hn::Set(d, close.depth[i]));
+                                                    hn::Set(d, lines.depth[i]));
                 hn::Store(hn::Add(hn::Load(d, met_[row] + k), more), d, met_[row] + k);
             }
         }
@@ -573,7 +640,7 @@ void HairWalk::meetClose(int lane) {
 
 /// A way in straight space from a receiver, in light space times w^2 of a perspective
 /// view; near the receiver straight space is as good as linear.
-Vec3 HairWalk::toLight(int lane, const Vec3& way) const {
+HWY_INLINE Vec3 HairWalk::toLight(int lane, const Vec3& way) const {
     const Floats d;
     const float w = view_.perspective ? rays_.w[lane] : 1.0f;
     const auto across = [&](Vec p, float scale, float start, float offset) {
@@ -589,16 +656,16 @@ Vec3 HairWalk::fromStart(int lane, const Vec3& place) const {
     return subtract(place, broadcast({rays_.u[lane], rays_.v[lane], rays_.w[lane]}));
 }
 
-HairWalk::CloseLines HairWalk::linesOf(int lane, const Segments& segments) const {
+/// Of ends_.
+void HairWalk::findLines(int lane, int count, CloseLines& lines) const {
     const Floats d;
     const Vec w = hn::Set(d, view_.perspective ? rays_.w[lane] : 1.0f);
-    CloseLines lines;
-    for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
-        const Vec3 first = segments.load(0, i);
+    for (std::size_t i = 0; i < std::size_t(count); i += hn::Lanes(d)) {
+        const Vec3 first = ends_.load(0, i);
         const Vec3 from = toLight(lane, fromStart(lane, first));
-        const Vec3 along = toLight(lane, subtract(segments.load(1, i), first));
-        const Vec half = hn::Mul(hn::Load(d, segments.half[0] + i), w);
-        const auto store = [&](const Vec3& v, float(&to)[3][kSegments]) {
+        const Vec3 along = toLight(lane, subtract(ends_.load(1, i), first));
+        const Vec half = hn::Mul(hn::Load(d, ends_.half[0] + i), w);
+        const auto store = [&](const Vec3& v, float(&to)[3][kMostClose]) {
             hn::Store(v.x, d, to[0] + i), hn::Store(v.y, d, to[1] + i);
             hn::Store(v.z, d, to[2] + i);
         };
@@ -607,20 +674,19 @@ HairWalk::CloseLines HairWalk::linesOf(int lane, const Segments& segments) const
         hn::Store(dot(along, from), d, lines.both + i);
         hn::Store(dot(from, from), d, lines.from2 + i);
         hn::Store(half, d, lines.half + i);
-        hn::Store(hn::Sub(hn::Mul(hn::Load(d, segments.half[1] + i), w), half), d,
+        hn::Store(hn::Sub(hn::Mul(hn::Load(d, ends_.half[1] + i), w), half), d,
                   lines.widen + i);
     }
-    return lines;
 }
 
 /// Which rays pass line i no further from it than it is wide, where they are nearest to
 /// it; if the receiver lies on its strand, from a width on.
-std::uint32_t HairWalk::meets(int lane, const CloseSegments& close,
-                              const CloseLines& lines, int i, bool own,
-                              const Vec3& ray) const {
+HWY_INLINE std::uint32_t HairWalk::meets(int lane, const CloseSegments& close,
+                                         const CloseLines& lines, int i, bool own,
+                                         const Vec3& ray) const {
     const Floats d;
     const auto set = [d](float x) { return hn::Set(d, x); };
-    const auto place = [&](const float(&p)[3][kSegments]) {
+    const auto place = [&](const float(&p)[3][kMostClose]) {
         return broadcast({p[0][i], p[1][i], p[2][i]});
     };
     const Vec along = dot(place(lines.along), ray), from = dot(place(lines.from), ray);
@@ -647,25 +713,28 @@ std::uint32_t HairWalk::meets(int lane, const CloseSegments& close,
     return bitsOf(hit);
 }
 
-/// Segments from whose middle lines the receiver is no further than so many half widths.
-std::uint32_t HairWalk::within(int lane, const Segments& segments, float halves) const {
+/// Those of `count` segments from whose middle lines the receiver is no further than so
+/// many half widths.
+template <int kRoom>
+HWY_INLINE CloseSet HairWalk::within(int lane, const Ends<kRoom>& ends, int count,
+                                     float halves) const {
     const Floats d;
     const float w = view_.perspective ? rays_.w[lane] : 1.0f;
-    std::uint32_t found = 0;
-    for (std::size_t i = 0; i < kSegments; i += hn::Lanes(d)) {
-        const Vec3 first = segments.load(0, i);
+    CloseSet found = 0;
+    for (std::size_t i = 0; i < std::size_t(count); i += hn::Lanes(d)) {
+        const Vec3 first = ends.load(0, i);
         const Vec3 from = toLight(lane, fromStart(lane, first));
-        const Vec3 way = toLight(lane, subtract(segments.load(1, i), first));
+        const Vec3 way = toLight(lane, subtract(ends.load(1, i), first));
         const Vec t =
             hn::Min(hn::Max(hn::Neg(hn::Div(dot(from, way), dot(way, way))), hn::Zero(d)),
                     hn::Set(d, 1.0f));
         const Vec3 off = add(from, scaled(way, t));
-        const Vec half = between(hn::Load(d, segments.half[0] + i),
-                                 hn::Load(d, segments.half[1] + i), t);
+        const Vec half =
+            between(hn::Load(d, ends.half[0] + i), hn::Load(d, ends.half[1] + i), t);
         const Vec reach = hn::Mul(half, hn::Set(d, halves * w));
-        found |= bitsOf(hn::Le(dot(off, off), hn::Mul(reach, reach))) << i;
+        found |= CloseSet(bitsOf(hn::Le(dot(off, off), hn::Mul(reach, reach)))) << i;
     }
-    return found & segments.present;
+    return found & (~CloseSet(0) >> (64 - count));
 }
 
 /// Which of the first segments that wait the receiver's rays may meet.

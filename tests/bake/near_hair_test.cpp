@@ -249,6 +249,21 @@ TEST_CASE("strands that cast nothing have no place in a near field", "[bake]") {
     CHECK(count({{-900, 0, 0.1f}, {900, 0, 0.1f}}, 0.01f, 0.5f) == 1);  // cut around it
 }
 
+TEST_CASE("strands are as wide as they are along their length", "[bake]") {
+    // Three long and .02 to .04 wide, one long and .1 wide, and what is not a number, in
+    // a box of 2 x 3 x 6; twice as large.
+    Hair hair;
+    hair.strand({{0, 0, 0}, {0, 3, 0}}, 0.02f, 0.4f);
+    hair.widths[1] = 0.04f;
+    hair.strand({{2, 0, 6}, {2, 1, 6}, {2, NAN, 6}}, 0.1f, 0.4f);
+    hair.worldFromObject = glm::scale(glm::dmat4(1.0), glm::dvec3(-2.0, 2.0, 2.0));
+    CasterViews casters({hair.view()});
+    const auto found = measureCasters(casters);
+    REQUIRE(found);
+    CHECK(found->strands == 2);
+    CHECK(found->strandWidth == Approx((3 * 0.03 + 1 * 0.1) / 4 / 7).epsilon(1e-6));
+}
+
 TEST_CASE("a near field of hair does not depend on threads or on the order of strands",
           "[bake][threads]") {
     const Hair hair = randomHair(3000);

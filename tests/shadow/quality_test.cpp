@@ -125,6 +125,20 @@ TEST_CASE("strands and sheets are kept beside the layers where a bake can", "[qu
     }
 }
 
+TEST_CASE("strands do not become wider than four pixels for nothing", "[quality]") {
+    CasterMeasures fur;
+    fur.strands = 1000;
+    const auto chosen = [&](float width, float error) {
+        fur.strandWidth = width;
+        return mapSettingsFor(fur, error).resolution;
+    };
+    CHECK(chosen(3.9f / 2048, 0.002f) == 2048);
+    CHECK(chosen(4.1f / 2048, 0.002f) == 1024);
+    CHECK(chosen(4.1f / 1024, 0.002f) == 512);
+    CHECK(chosen(4.1f / 1024, 0.005f) == 512);
+    CHECK(chosen(0.1f, 0.002f) == 512);
+}
+
 TEST_CASE("no near field is planned that six faces, or colours, do not have",
           "[quality]") {
     CasterMeasures fur = solid(1000), cards = solid(1000);

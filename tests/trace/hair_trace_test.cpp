@@ -377,6 +377,46 @@ TEST_CASE("the strand on which a receiver lies hides the light from a width on",
     CHECK(closed(3.0, 0.0) == 16);
 }
 
+TEST_CASE("a strand of segments much shorter than wide is one strand", "[trace]") {
+    const int steps = 80;
+    const double half = steps * double(kHalfStep), step = half / 10;
+    const auto round = [](double x, double grid) { return std::round(x / grid) * grid; };
+    // It leads up to the eye at 45 degrees, the receiver on its lower side: rays go
+    // through it within a width.
+    std::vector<Segment> segments;
+    for (int i = -60; i < 60; ++i) {
+        const auto at = [&](int k) {
+            const double way = k * step * std::sqrt(0.5);
+            return glm::dvec3(round(32 + 32 * way, 0x1p-8), 24, round(32 + way, 0x1p-14));
+        };
+        segments.push_back({{at(i), at(i + 1)}, {steps, steps}, 65535});
+    }
+    const auto closed = [&] {
+        const ShadowMap map = mapOfSegments(segments, false);
+        test::Rays rays(1, 1);
+        const double aside = 0.4 * half * std::sqrt(0.5);
+        rays.setStart(0, {32 + 32 * aside, 24, 32 - aside});
+        for (int lane = 0; lane < kLanes; ++lane)
+            rays.setDelta(0, lane, {0, -0.125 * lane, 16.0});
+        rays.bound();
+        rays.bundle.rise[0] = 12.0f;
+        trace::RayDepths depths = noDepths();
+        trace::traceHair(map.nearHair(0), map.projection(0), {}, 1, rays.bundle, depths);
+        return 16 - std::popcount(rays.bundle.open[0]);
+    };
+    CHECK(closed() == 0);
+    // Another one goes across, two and a half half widths above.
+    for (int i = -30; i < 30; ++i) {
+        const auto at = [&](int k) {
+            return glm::dvec3(round(32 + 32 * 0.4 * half * std::sqrt(0.5), 0x1p-8),
+                              round(24 + 24 * k * step, 0x1p-8),
+                              round(32 + 2.5 * half, 0x1p-14));
+        };
+        segments.push_back({{at(i), at(i + 1)}, {steps, steps}, 65535});
+    }
+    CHECK(closed() == 16);
+}
+
 TEST_CASE("close to the receiver joints are round, and are crossed once", "[trace]") {
     const int steps = 80;
     const double half = steps * double(kHalfStep);

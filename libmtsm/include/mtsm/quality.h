@@ -37,6 +37,8 @@ struct CasterMeasures {
     bool letThrough = false;      ///< surfaces with opacities below 1 or alpha textures
     std::uint64_t triangles = 0;  ///< that can cast
     std::uint64_t strands = 0, volumes = 0;
+    /// Of the strands, the mean along them, over the diagonal of the box around them all.
+    float strandWidth = 0.0f;
 };
 
 /// What else a bake is asked for that decides it.
@@ -78,8 +80,9 @@ struct MapSettings {
 /// The smallest map that leaves samples half of `meanError`; if there is none, the
 /// largest that was found to be of use: 4096 of opaque casters without a near field, else
 /// 2048. Near fields of strands and sheets make 512 pixels about as good as 1024: they
-/// get 1024 from .005 to .01, more below. With six faces neither is of use, in colour
-/// that of sheets is not: such maps are chosen as those without.
+/// get 1024 from .005 to .01, more below; where strands would be wider than four pixels,
+/// fewer, down to 512. With six faces neither is of use, in colour that of sheets is not:
+/// such maps are chosen as those without.
 [[nodiscard]] MapSettings mapSettingsFor(const CasterMeasures& casters, float meanError,
                                          const MapForm& form = {}) noexcept;
 
