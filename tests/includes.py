@@ -35,7 +35,7 @@ HEAVY = {
     "Imath": {"io"},
     "png.h": {"io"},
     "embree3": {"baseline"},
-    "hwy": {"format", "raster", "shadow", "trace"},
+    "hwy": {"bake", "format", "raster", "shadow", "trace"},
     "zstd": {"format"},
     "xxhash": {"base"},
     "CLI": set(),

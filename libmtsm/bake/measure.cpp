@@ -15,6 +15,23 @@
 #include "raster/triangle.h"
 
 namespace mtsm::bake_detail {
+
+void Extent::include(glm::dvec3 p, bool perspective) noexcept {
+    includeSquare(p, 0.0, perspective);
+}
+
+void Extent::includeSquare(glm::dvec3 p, double half, bool perspective) noexcept {
+    const glm::dvec2 low(p.x - half, p.y - half), high(p.x + half, p.y + half);
+    min = glm::min(min, glm::dvec3(low, p.z));
+    max = glm::max(max, glm::dvec3(high, p.z));
+    const double perDepth = perspective ? 1.0 / p.z : 1.0;
+    const glm::dvec2 first = low * perDepth, last = high * perDepth;
+    windowMin = glm::min(windowMin, glm::min(first, last));
+    windowMax = glm::max(windowMax, glm::max(first, last));
+    const glm::dvec2 far = glm::max(first * first, last * last);
+    radius2 = std::max(radius2, far.x + far.y);
+}
+
 namespace {
 
 using raster::LightFromObject;
@@ -127,16 +144,17 @@ Extent measureStrands(const StrandsView& view, std::size_t first, std::size_t la
         if (!std::isfinite(half)) half = 0.0;  // in the eye's plane
         const bool within =
             std::min(a.z, b.z) >= depths.near && std::max(a.z, b.z) <= depths.far;
+        if (within) {
+            extent.includeSquare(a, half, depths.perspective);
+            extent.includeSquare(b, half, depths.perspective);
+            return;
+        }
         const glm::dvec3 sides[2] = {{half, half, 0.0}, {half, -half, 0.0}};
         for (const glm::dvec3 d : sides) {
             raster::Polygon ribbon;
-            for (const glm::dvec3 p : {a - d, a + d, b + d, b - d}) {
-                if (within)
-                    extent.include(p, depths.perspective);
-                else
-                    ribbon.add(p);
-            }
-            if (!within) addPolygon(ribbon, depths, extent);
+            for (const glm::dvec3 p : {a - d, a + d, b + d, b - d})
+                ribbon.add(p);
+            addPolygon(ribbon, depths, extent);
         }
     };
     for (std::size_t s = first; s < last; ++s) {
@@ -216,15 +234,6 @@ void addCaster(const CasterView& caster, const Projection& frame, const Depths& 
 }
 
 }  // namespace
-
-void Extent::include(glm::dvec3 p, bool perspective) noexcept {
-    min = glm::min(min, p);
-    max = glm::max(max, p);
-    const glm::dvec2 w = glm::dvec2(p.x, p.y) * (perspective ? 1.0 / p.z : 1.0);
-    windowMin = glm::min(windowMin, w);
-    windowMax = glm::max(windowMax, w);
-    radius2 = std::max(radius2, glm::dot(w, w));
-}
 
 void Extent::add(const Extent& other) noexcept {
     min = glm::min(min, other.min);

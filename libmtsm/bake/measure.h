@@ -34,6 +34,8 @@ struct Extent {
     [[nodiscard]] bool usable() const noexcept { return !empty() || outside > 0; }
     void add(const Extent& other) noexcept;
     void include(glm::dvec3 p, bool perspective) noexcept;
+    /// All of a square that is level with the frame, so far to each side of p.
+    void includeSquare(glm::dvec3 p, double half, bool perspective) noexcept;
 };
 
 /// `frame`: kind, eye and axes are used, raster scale and window are not. For a

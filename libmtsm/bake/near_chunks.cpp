@@ -1,17 +1,22 @@
 #include "bake/near_chunks.h"
 
+#include <hwy/cache_control.h>
 #include <algorithm>
 #include <bit>
 #include <cmath>
 #include <cstring>
+#include <mutex>
+#include <utility>
 
 #include "bake/hilbert.h"
 #include "base/parallel.h"
+#include "base/radix_sort.h"
 
 namespace mtsm::bake_detail {
 namespace {
 
 constexpr int kAxisBits = 16;                // of a cell of the Hilbert curve
+constexpr int kClassBits = 4;                // of a class of sizes
 constexpr double kFinestStep = 1.0 / 256.0;  // pixels, footprints
 constexpr double kFineReach = 255.0;         // of chunks of items up to kFineSize
 constexpr double kFineSize = 64.0;
@@ -96,7 +101,7 @@ struct Footprints {
 /// 0 up to a pixel, then one more for each factor of four.
 std::uint64_t sizeClass(double size) {
     std::uint64_t c = 0;
-    for (double most = 1.0; size > most && c < 15; most *= 4.0)
+    for (double most = 1.0; size > most && c < (1u << kClassBits) - 1; most *= 4.0)
         ++c;
     return c;
 }
@@ -106,37 +111,80 @@ struct Entry {
     std::uint32_t item;
 };
 
+/// The box around the places of all items.
+template <typename Item>
+std::pair<glm::dvec3, glm::dvec3> bounds(const std::vector<Item>& items,
+                                         const Footprints& footprints) {
+    std::mutex mutex;
+    glm::dvec3 low(HUGE_VAL), high(-HUGE_VAL);
+    base::parallelRanges(std::size_t(0), items.size(), kPerTask,
+                         [&](auto begin, auto end) {
+                             glm::dvec3 least(HUGE_VAL), most(-HUGE_VAL);
+                             for (std::size_t i = begin; i < end; ++i) {
+                                 const glm::dvec3 p = footprints.place(items[i]);
+                                 least = glm::min(least, p);
+                                 most = glm::max(most, p);
+                             }
+                             const std::lock_guard lock(mutex);
+                             low = glm::min(low, least);
+                             high = glm::max(high, most);
+                         });
+    return {low, high};
+}
+
 /// All triangles or segments in the order in which they are cut into chunks.
 template <typename Item>
 std::vector<Entry> sorted(const std::vector<Item>& items, const Footprints& footprints) {
-    glm::dvec3 low(HUGE_VAL), high(-HUGE_VAL);
-    for (const Item& item : items) {
-        const glm::dvec3 p = footprints.place(item);
-        low = glm::min(low, p);
-        high = glm::max(high, p);
-    }
-    const glm::dvec3 reach = high - low;
+    if (items.empty()) return {};
+    const auto [low, high] = bounds(items, footprints);
+    const glm::dvec3 reach = high - low, first = low;
     const double side = std::max({reach.x, reach.y, reach.z, 1e-300});
     const double cells = double((1u << kAxisBits) - 1) / side;
     std::vector<Entry> entries(items.size());
     base::parallelRanges(
         std::size_t(0), entries.size(), kPerTask, [&](auto begin, auto end) {
-            for (std::size_t i = begin; i < end; ++i) {
-                const glm::dvec3 p = (footprints.place(items[i]) - low) * cells;
-                const double size = footprints.size(Box(items[i]));
-                entries[i] = {sizeClass(size) << (3 * kAxisBits) |
-                                  hilbertPlace({std::uint32_t(p.x), std::uint32_t(p.y),
-                                                std::uint32_t(p.z)},
-                                               kAxisBits),
-                              std::uint32_t(i)};
+            constexpr std::size_t kAtOnce = 256;
+            std::uint32_t cell[3][kAtOnce];
+            std::uint64_t places[kAtOnce];
+            for (std::size_t from = begin; from < end; from += kAtOnce) {
+                const std::size_t count = std::min(kAtOnce, end - from);
+                for (std::size_t k = 0; k < count; ++k) {
+                    const glm::dvec3 p =
+                        (footprints.place(items[from + k]) - first) * cells;
+                    for (int axis = 0; axis < 3; ++axis)
+                        cell[axis][k] = std::uint32_t(p[axis]);
+                }
+                hilbertPlaces(cell[0], cell[1], cell[2], count, kAxisBits, places);
+                for (std::size_t k = 0; k < count; ++k) {
+                    const double size = footprints.size(Box(items[from + k]));
+                    entries[from + k] = {sizeClass(size) << (3 * kAxisBits) | places[k],
+                                         std::uint32_t(from + k)};
+                }
             }
         });
+    base::radixSort(entries, 3 * kAxisBits + kClassBits);
     // Ties go by the items themselves: which came first must not matter.
-    std::sort(entries.begin(), entries.end(), [&](const Entry& a, const Entry& b) {
-        if (a.key != b.key) return a.key < b.key;
-        return std::memcmp(&items[a.item], &items[b.item], sizeof(Item)) < 0;
-    });
+    for (auto same = entries.begin(); same != entries.end();) {
+        auto next = same + 1;
+        while (next != entries.end() && next->key == same->key)
+            ++next;
+        std::sort(same, next, [&](const Entry& a, const Entry& b) {
+            return std::memcmp(&items[a.item], &items[b.item], sizeof(Item)) < 0;
+        });
+        same = next;
+    }
     return entries;
+}
+
+/// In their order items lie anywhere: has those come that will be asked for soon.
+template <typename Item>
+void fetch(const std::vector<Item>& items, const std::vector<Entry>& order,
+           std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < std::min(end, order.size()); ++i) {
+        const auto* const bytes = reinterpret_cast<const char*>(&items[order[i].item]);
+        hwy::Prefetch(bytes);
+        hwy::Prefetch(bytes + sizeof(Item) - 1);
+    }
 }
 
 /// Strands of a chunk have their widths in steps of a 255th of its widest: none may be so
@@ -167,6 +215,7 @@ std::vector<std::size_t> cut(const std::vector<Item>& items,
     std::vector<std::size_t> begins;
     for (std::size_t i = 0; i < order.size();) {
         begins.push_back(i);
+        fetch(items, order, i + NearChunk::kTriangles, i + 2 * NearChunk::kTriangles);
         Box box(items[order[i].item]);
         Widths widths;
         widths.include(items[order[i].item]);
@@ -187,8 +236,8 @@ std::vector<std::size_t> cut(const std::vector<Item>& items,
 /// The finest grid of powers of two, no finer than `least`, on which 16 bits reach from
 /// low to high and a float holds every multiple.
 struct Grid {
-    double step;
-    std::int64_t first;
+    double step, perStep;
+    std::int32_t first;
 
     Grid(double low, double high, double least) {
         int exponent = 0;
@@ -196,12 +245,16 @@ struct Grid {
         for (step = std::ldexp(1.0, exponent - 1);; step *= 2.0) {
             const double most = std::max(std::abs(low), std::abs(high)) / step;
             if (most >= 0x1p24 - 1.0) continue;
+            perStep = 1.0 / step;
             first = nearest(low);
             if (nearest(high) - first <= 0xffff) break;
         }
     }
-    [[nodiscard]] std::int64_t nearest(double x) const {
-        return std::int64_t(std::floor(x / step + 0.5));
+    /// Of what lies between low and high: floor(), without a call.
+    [[nodiscard]] std::int32_t nearest(double x) const {
+        const double steps = x * perStep + 0.5;
+        const auto whole = std::int32_t(steps);
+        return whole - int(double(whole) > steps);
     }
 };
 
@@ -292,10 +345,12 @@ void pack(const std::vector<Item>& items, const Projection& projection,
     base::parallelFor(std::size_t(0), tasksFor(chunks), [&](std::size_t task) {
         const std::size_t first = task * kChunksPerTask;
         const std::size_t last = std::min(first + kChunksPerTask, chunks);
-        for (std::size_t i = first; i < last; ++i)
+        for (std::size_t i = first; i < last; ++i) {
+            if (i + 1 < chunks) fetch(items, order, begins[i + 1], begins[i + 2]);
             make(task, i,
                  Run<Item>{items, order.data() + begins[i], begins[i + 1] - begins[i]},
                  footprints);
+        }
     });
 }
 

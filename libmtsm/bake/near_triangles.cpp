@@ -27,14 +27,28 @@ bool usable(glm::dvec3 p) {
            std::abs(p.z) < raster::kLargestCoordinate;
 }
 
+/// A corner of a mesh.
+struct Corner {
+    glm::dvec3 light;     ///< light space
+    glm::dvec3 straight;  ///< straight space, if `between`
+    bool usable;
+    bool between;  ///< near and far, both included
+};
+
 struct Bounds {
     glm::dvec2 min, max;
 
     explicit Bounds(const Polygon& polygon) : min(polygon.corner[0]), max(min) {
-        for (std::size_t i = 1; i < polygon.size; ++i) {
-            min = glm::min(min, glm::dvec2(polygon.corner[i]));
-            max = glm::max(max, glm::dvec2(polygon.corner[i]));
-        }
+        for (std::size_t i = 1; i < polygon.size; ++i)
+            include(polygon.corner[i]);
+    }
+    Bounds(glm::dvec3 a, glm::dvec3 b, glm::dvec3 c) : min(a), max(a) {
+        include(b);
+        include(c);
+    }
+    void include(glm::dvec3 p) {
+        min = glm::min(min, glm::dvec2(p));
+        max = glm::max(max, glm::dvec2(p));
     }
     [[nodiscard]] bool wide() const {
         return max.x - min.x > kMostPixels || max.y - min.y > kMostPixels;
@@ -61,10 +75,11 @@ class StraightSpace {
         sides_[3] = side({0, 1}, -scale_.y, high.y - offset_.y);
     }
 
-    /// Appends what is left of a triangle in light space. `mirrored`, `origin2`: see
+    [[nodiscard]] Corner corner(glm::dvec3 light) const;
+    /// Appends what is left of a triangle. `mirrored`, `origin2`: see
     /// TriangleSetup::triangle.
-    void add(const glm::dvec3 (&light)[3], bool mirrored, double origin2,
-             std::vector<NearTriangle>& out) const;
+    void add(const Corner& a, const Corner& b, const Corner& c, bool mirrored,
+             double origin2, std::vector<NearTriangle>& out) const;
 
   private:
     [[nodiscard]] ClipPlane side(glm::dvec2 axis, double scale, double constant) const {
@@ -73,8 +88,12 @@ class StraightSpace {
                             : ClipPlane{{xy.x, xy.y, 0.0}, constant};
     }
     [[nodiscard]] bool culled(glm::dvec3 normal, glm::dvec3 corner, bool mirrored) const;
+    [[nodiscard]] glm::dvec3 straight(glm::dvec3 light) const;
     [[nodiscard]] Polygon straight(const Polygon& light) const;
+    [[nodiscard]] bool misses(const Bounds& bounds) const;
     void addSquares(const Polygon& triangle, std::vector<NearTriangle>& out) const;
+    static void addTriangle(glm::dvec3 a, glm::dvec3 b, glm::dvec3 c,
+                            std::vector<NearTriangle>& out);
     /// A convex polygon in straight space as triangles.
     static void addFan(const Polygon& polygon, std::vector<NearTriangle>& out);
 
@@ -92,33 +111,48 @@ bool StraightSpace::culled(glm::dvec3 normal, glm::dvec3 corner, bool mirrored) 
     return ((toPlane > 0.0) != mirrored) != (keep_ == Facing::front);
 }
 
+glm::dvec3 StraightSpace::straight(glm::dvec3 light) const {
+    const double w = perspective_ ? 1.0 / light.z : -light.z;
+    return {scale_ * glm::dvec2(light) * (perspective_ ? w : 1.0) + offset_, w};
+}
+
 Polygon StraightSpace::straight(const Polygon& light) const {
     Polygon polygon;
-    for (std::size_t i = 0; i < light.size; ++i) {
-        const glm::dvec3 p = light.corner[i];
-        const double w = perspective_ ? 1.0 / p.z : -p.z;
-        polygon.add(
-            glm::dvec3(scale_ * glm::dvec2(p) * (perspective_ ? w : 1.0) + offset_, w));
-    }
+    for (std::size_t i = 0; i < light.size; ++i)
+        polygon.add(straight(light.corner[i]));
     return polygon;
 }
 
-void StraightSpace::add(const glm::dvec3 (&light)[3], bool mirrored, double origin2,
-                        std::vector<NearTriangle>& out) const {
-    const auto& [a, b, c] = light;
-    if (!(usable(a) && usable(b) && usable(c))) return;
-    const raster::TriangleNormal normal(a, b, c, origin2);
-    if (!normal.hasArea || culled(normal.normal, a, mirrored)) return;
+Corner StraightSpace::corner(glm::dvec3 light) const {
+    Corner c{light, {}, usable(light), light.z >= near_ && light.z <= far_};
+    if (c.usable && c.between) c.straight = straight(light);
+    return c;
+}
+
+/// Does it lie beside the window?
+bool StraightSpace::misses(const Bounds& bounds) const {
+    return bounds.max.x < 0.0 || bounds.max.y < 0.0 || bounds.min.x > window_.x ||
+           bounds.min.y > window_.y;
+}
+
+void StraightSpace::add(const Corner& a, const Corner& b, const Corner& c, bool mirrored,
+                        double origin2, std::vector<NearTriangle>& out) const {
+    if (!(a.usable && b.usable && c.usable)) return;
+    const raster::TriangleNormal normal(a.light, b.light, c.light, origin2);
+    if (!normal.hasArea || culled(normal.normal, a.light, mirrored)) return;
+    if (a.between && b.between && c.between) {
+        const Bounds bounds(a.straight, b.straight, c.straight);
+        if (misses(bounds)) return;
+        if (!bounds.wide()) return addTriangle(a.straight, b.straight, c.straight, out);
+    }
     Polygon polygon;
-    for (const glm::dvec3& p : light)
-        polygon.add(p);
+    for (const Corner* p : {&a, &b, &c})
+        polygon.add(p->light);
     polygon = raster::clipDepth(polygon, near_, far_);
     if (polygon.size < 3) return;
     Polygon flat = straight(polygon);
     const Bounds bounds(flat);
-    if (bounds.max.x < 0.0 || bounds.max.y < 0.0 || bounds.min.x > window_.x ||
-        bounds.min.y > window_.y)
-        return;
+    if (misses(bounds)) return;
     if (!bounds.wide()) return addFan(flat, out);
     for (const ClipPlane& side : sides_)
         polygon = raster::clip(polygon, side);
@@ -148,16 +182,19 @@ void StraightSpace::addSquares(const Polygon& triangle,
     }
 }
 
-void StraightSpace::addFan(const Polygon& polygon, std::vector<NearTriangle>& out) {
-    for (std::size_t i = 2; i < polygon.size; ++i) {
-        NearTriangle& t = out.emplace_back();
-        const glm::dvec3* const corners[3] = {&polygon.corner[0], &polygon.corner[i - 1],
-                                              &polygon.corner[i]};
-        for (int c = 0; c < 3; ++c) {
-            for (int axis = 0; axis < 3; ++axis)
-                t.corner[c][axis] = float((*corners[c])[axis]);
-        }
+void StraightSpace::addTriangle(glm::dvec3 a, glm::dvec3 b, glm::dvec3 c,
+                                std::vector<NearTriangle>& out) {
+    NearTriangle& t = out.emplace_back();
+    for (int axis = 0; axis < 3; ++axis) {
+        t.corner[0][axis] = float(a[axis]);
+        t.corner[1][axis] = float(b[axis]);
+        t.corner[2][axis] = float(c[axis]);
     }
+}
+
+void StraightSpace::addFan(const Polygon& polygon, std::vector<NearTriangle>& out) {
+    for (std::size_t i = 2; i < polygon.size; ++i)
+        addTriangle(polygon.corner[0], polygon.corner[i - 1], polygon.corner[i], out);
 }
 
 /// What is left of one task's triangles, and of which of the mesh each is.
@@ -172,13 +209,12 @@ void collectChunk(const MeshView& mesh, std::size_t first, std::size_t count,
     const raster::MeshChunk chunk(mesh, first, count);
     const bool mirrored = raster::mirrors(mesh.worldFromObject);
     const double origin2 = glm::dot(lightFromObject.origin, lightFromObject.origin);
-    std::vector<glm::dvec3> light(chunk.vertices());
-    for (std::size_t i = 0; i < light.size(); ++i)
-        light[i] = lightFromObject(chunk.position(i));
+    std::vector<Corner> corners(chunk.vertices());
+    for (std::size_t i = 0; i < corners.size(); ++i)
+        corners[i] = space.corner(lightFromObject(chunk.position(i)));
     for (std::size_t i = 0; i < count; ++i) {
-        space.add({light[chunk.corner(3 * i)], light[chunk.corner(3 * i + 1)],
-                   light[chunk.corner(3 * i + 2)]},
-                  mirrored, origin2, out.triangles);
+        space.add(corners[chunk.corner(3 * i)], corners[chunk.corner(3 * i + 1)],
+                  corners[chunk.corner(3 * i + 2)], mirrored, origin2, out.triangles);
         out.sources.resize(out.triangles.size(), std::uint32_t(first + i));
     }
 }

@@ -1,9 +1,8 @@
 #include "shadow/receiver_order.h"
 
 #include <algorithm>
-#include <array>
-#include <utility>
 
+#include "base/radix_sort.h"
 #include "shadow/pixel_share.h"
 
 namespace mtsm::shadow {
@@ -27,34 +26,6 @@ bool areClose(std::uint32_t a, std::uint32_t b) {
 }
 
 }  // namespace
-
-/// By key, equal keys as they were.
-void ReceiverOrder::sort(std::vector<Entry>& entries) {
-    constexpr std::size_t kFew = 512;
-    if (entries.size() <= kFew) {
-        std::sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
-            return a.key != b.key ? a.key < b.key : a.run < b.run;
-        });
-        return;
-    }
-    constexpr int kBits = 11, kDigits = 3;
-    constexpr std::uint32_t kValues = 1u << kBits;
-    std::array<std::array<std::uint32_t, kValues>, kDigits> next{};
-    for (const Entry& e : entries) {
-        for (int digit = 0; digit < kDigits; ++digit)
-            ++next[std::size_t(digit)][e.key >> (kBits * digit) & (kValues - 1)];
-    }
-    std::vector<Entry> other(entries.size());
-    for (int digit = 0; digit < kDigits; ++digit) {
-        auto& to = next[std::size_t(digit)];
-        std::uint32_t sum = 0;
-        for (std::uint32_t& n : to)
-            sum += std::exchange(n, sum);
-        for (const Entry& e : entries)
-            other[to[e.key >> (kBits * digit) & (kValues - 1)]++] = e;
-        entries.swap(other);
-    }
-}
 
 void ReceiverOrder::findKeys(const BundleQuery& bundles, const glm::dvec3* points,
                              const glm::dvec3* normals, std::size_t count,
@@ -108,7 +79,7 @@ ReceiverOrder::ReceiverOrder(const BundleQuery& bundles,
         points_ += end - i;
         i = end;
     }
-    if (sorted_.size() > 1) sort(sorted_);
+    base::radixSort(sorted_, 32);
 }
 
 ReceiverOrder::Block ReceiverOrder::block(std::size_t first, std::size_t end,

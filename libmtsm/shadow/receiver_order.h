@@ -63,7 +63,6 @@ class ReceiverOrder {
         std::uint32_t run;  // its first point, then in four bits how many more it has
         [[nodiscard]] Kind kind() const noexcept { return Kind(key >> 30); }
     };
-    static void sort(std::vector<Entry>& entries);
 
     std::vector<Entry> sorted_;
     std::size_t points_ = 0;

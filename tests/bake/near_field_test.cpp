@@ -486,23 +486,36 @@ TEST_CASE("a small light's shadow of slender leaves is exact far below them",
     CHECK(errorWithout > 0.03);
 }
 
-TEST_CASE("the Hilbert curve goes through every cell and only to neighbours", "[bake]") {
+TEST_CASE("the Hilbert curve goes through every cell and only to neighbours",
+          "[bake][twin]") {
     constexpr std::uint32_t kSide = 16;
-    std::vector<std::array<std::uint32_t, 3>> cells(kSide * kSide * kSide);
-    std::vector<int> seen(cells.size());
-    for (std::uint32_t i = 0; i < cells.size(); ++i) {
-        const std::array<std::uint32_t, 3> cell = {i % kSide, i / kSide % kSide,
-                                                   i / kSide / kSide};
-        const std::uint64_t place = bake_detail::hilbertPlace(cell, 4);
-        REQUIRE(place < cells.size());
-        cells[place] = cell;
-        seen[place] += 1;
+    std::vector<std::uint32_t> x, y, z;
+    for (std::uint32_t i = 0; i < kSide * kSide * kSide; ++i) {
+        x.push_back(i % kSide);
+        y.push_back(i / kSide % kSide);
+        z.push_back(i / kSide / kSide);
     }
-    CHECK(std::count(seen.begin(), seen.end(), 1) == long(cells.size()));
+    const std::vector<std::uint32_t> coordinates[3] = {x, y, z};
+    // All at once, and one by one, which is not done by vectors.
+    std::vector<std::uint64_t> places(x.size()), alone(x.size());
+    bake_detail::hilbertPlaces(x.data(), y.data(), z.data(), x.size(), 4, places.data());
+    for (std::size_t i = 0; i < alone.size(); ++i) {
+        std::uint32_t cell[3] = {coordinates[0][i], coordinates[1][i], coordinates[2][i]};
+        bake_detail::hilbertPlaces(&cell[0], &cell[1], &cell[2], 1, 4, &alone[i]);
+    }
+    CHECK(alone == places);
+    std::vector<std::size_t> cells(places.size());
+    std::vector<int> seen(places.size());
+    for (std::size_t i = 0; i < places.size(); ++i) {
+        REQUIRE(places[i] < places.size());
+        cells[places[i]] = i;
+        seen[places[i]] += 1;
+    }
+    CHECK(std::count(seen.begin(), seen.end(), 1) == long(seen.size()));
     int strides = 0;
     for (std::size_t i = 1; i < cells.size(); ++i) {
-        for (std::size_t axis = 0; axis < 3; ++axis)
-            strides += std::abs(int(cells[i][axis]) - int(cells[i - 1][axis]));
+        for (const std::vector<std::uint32_t>& axis : coordinates)
+            strides += std::abs(int(axis[cells[i]]) - int(axis[cells[i - 1]]));
     }
     CHECK(strides == int(cells.size()) - 1);
 }
