@@ -185,6 +185,19 @@ near-field = [$near]
 samples = [${counts##*16, }]
 adaptive = "true"
 END
+    # With a near field few pixels are enough, and the first picture is there the sooner.
+    case $1 in
+    character | bumpy | palm | fur | cards | mesh)
+        cat <<END
+
+[[method]]
+name = "mtsm"
+resolution = 128
+near-field = "auto"
+samples = [$counts]
+END
+        ;;
+    esac
     cat <<END
 
 [[method]]
