@@ -423,6 +423,9 @@ class Reader {
     /// The tables of a list; `need` is what each must have.
     [[nodiscard]] const toml::array& tablesOf(const toml::node& node, const char* name,
                                               const char* need) const;
+    [[nodiscard]] static const toml::node& namedIn(const std::string& message,
+                                                   const CasterFile& caster,
+                                                   const toml::table& content);
     CasterFile readCaster(const toml::table& content) const;
     JobReceiver readReceiver(const toml::table& content) const;
     JobMethod readMethod(const toml::table& content) const;
@@ -601,6 +604,21 @@ void Reader::setCaster(CasterFile& c, const Key& key, const toml::node& value) c
     if (key.name == "density-scale") c.densityScale = float(*real);
 }
 
+/// The setting of a caster that a message names behind the file, or all of them.
+const toml::node& Reader::namedIn(const std::string& message, const CasterFile& caster,
+                                  const toml::table& content) {
+    const auto names = [&](std::string_view setting) {
+        const std::string start = caster.path + ": " + std::string(setting) + " ";
+        return message.compare(0, start.size(), start) == 0;
+    };
+    for (const auto& [key, value] : content) {
+        // Of a transform's parts only a scale can be wrong.
+        if (names(key.str()) || (key.str() == "scale" && names("transform")))
+            return value;
+    }
+    return content;
+}
+
 CasterFile Reader::readCaster(const toml::table& content) const {
     CasterFile caster;
     for (const auto& [key, value] : content)
@@ -610,7 +628,8 @@ CasterFile Reader::readCaster(const toml::table& content) const {
     checkThere(*file, "file", caster.path);
     caster.transform = transformOf(content);
     if (const Status good = checkCaster(caster); !good)
-        refuse(place(content), good.error().message);
+        refuse(place(namedIn(good.error().message, caster, content)),
+               good.error().message);
     return caster;
 }
 
