@@ -144,7 +144,7 @@ methods() {
     character | bumpy | palm | mesh) near='"none", "auto"' further="4096, 8192" ;;
     fur) resolutions="256, $resolutions" near='"none", "auto"' further="4096" ;;
     cards) resolutions="256, $resolutions" near='"none", "auto"' ;;
-    smoke) resolutions="64, 128, 256, 512" ;; # of 128 x 128 x 128 voxels
+    smoke) resolutions="32, 64, 128, 256, 512" ;; # of 128 x 128 x 128 voxels
     giant-*) resolutions="2048, 512" near='"none", "512M"' paper=2048 embree="1, 4, 16, 64, 256" ;;
     esac
     if [ -n "$quick" ]; then
