@@ -1,4 +1,5 @@
 // measureCasters(): what there is, before a bake's settings are chosen.
+#include <algorithm>
 #include <cmath>
 #include <glm/common.hpp>
 #include <glm/geometric.hpp>
@@ -15,9 +16,15 @@
 namespace mtsm {
 namespace {
 
-/// How wide strands are along all of their length, and the box around them; world space.
+/// How wide strands are along all of their length, and the box around all casters but
+/// volumes; world space.
 class StrandWidths {
   public:
+    void add(const MeshView& mesh) {
+        for (std::size_t i = 0; i < mesh.vertexCount; ++i)
+            include(glm::dvec3(mesh.worldFromObject *
+                               glm::dvec4(glm::dvec3(mesh.positions[i]), 1.0)));
+    }
     void add(const StrandsView& strands) {
         const glm::dmat4& m = strands.worldFromObject;
         const double grown = std::cbrt(std::abs(glm::determinant(glm::dmat3(m))));
@@ -32,20 +39,27 @@ class StrandWidths {
                 const glm::dvec3 a = at(i - 1), b = at(i);
                 const double length = glm::distance(a, b);
                 if (!std::isfinite(length)) continue;
-                low_ = glm::min(low_, glm::min(a, b));
-                high_ = glm::max(high_, glm::max(a, b));
+                include(a);
+                include(b);
                 length_ += length;
                 area_ += length * grown * 0.5 * (widthAt(i - 1) + widthAt(i));
             }
         }
     }
-    /// The mean width, of the box's diagonal.
+    /// The mean width, of the box's longest side.
     [[nodiscard]] float mean() const {
-        const double size = length_ * glm::distance(low_, high_);
+        const glm::dvec3 sides = high_ - low_;
+        const double size = length_ * std::max({sides.x, sides.y, sides.z});
         return size > 0.0 ? float(area_ / size) : 0.0f;
     }
 
   private:
+    void include(glm::dvec3 p) {
+        if (!std::isfinite(p.x + p.y + p.z)) return;
+        low_ = glm::min(low_, p);
+        high_ = glm::max(high_, p);
+    }
+
     glm::dvec3 low_{HUGE_VAL}, high_{-HUGE_VAL};
     double length_ = 0.0, area_ = 0.0;
 };
@@ -63,6 +77,7 @@ Result<CasterMeasures> measureCasters(CasterSource& casters) {
             if (!mesh->texture && mesh->opacity == 0.0f) return {};
             found.triangles += mesh->triangleCount;
             found.letThrough = found.letThrough || !bake_detail::isSolid(*mesh);
+            widths.add(*mesh);
         } else if (const auto* strands = std::get_if<StrandsView>(&caster)) {
             found.strands += strands->strandCount;
             widths.add(*strands);

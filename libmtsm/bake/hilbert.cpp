@@ -1,6 +1,8 @@
 // hilbertPlaces: as many cells at once as a vector holds.
 #include "bake/hilbert.h"
 
+// Vectors of a length that is not known in advance cannot be elements of an array.
+#define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "bake/hilbert.cpp"
 #include <hwy/foreach_target.h>

@@ -169,7 +169,8 @@ std::vector<Entry> sorted(const std::vector<Item>& items, const Footprints& foot
         while (next != entries.end() && next->key == same->key)
             ++next;
         std::sort(same, next, [&](const Entry& a, const Entry& b) {
-            return std::memcmp(&items[a.item], &items[b.item], sizeof(Item)) < 0;
+            const int order = std::memcmp(&items[a.item], &items[b.item], sizeof(Item));
+            return order != 0 ? order < 0 : a.item < b.item;
         });
         same = next;
     }

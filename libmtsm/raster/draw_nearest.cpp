@@ -5,6 +5,8 @@
 
 #include <bit>
 
+// Vectors of a length that is not known in advance cannot be members of a class.
+#define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "raster/draw_nearest.cpp"
 #include <hwy/foreach_target.h>

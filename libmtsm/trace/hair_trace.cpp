@@ -11,8 +11,7 @@
 // These few are met ray by ray, as a ray tracer's curves are.
 //
 // What a ray meets does not depend on the rays beside it: which segments a receiver looks
-// at follows from its own box and slopes, and it meets them in the order of the file,
-// those that waited last.
+// at follows from its own box and slopes, and so does the order in which it meets them.
 //
 // Fused multiply-adds are not used where hits are decided, for they would make one
 // machine's answer another's rounding.

@@ -14,7 +14,6 @@
 
 #include "bake/baked.h"
 #include "bake/casters.h"
-#include "bake/hilbert.h"
 #include "bake/near_chunks.h"
 #include "bake/near_triangles.h"
 #include "mtsm/bake.h"
@@ -484,40 +483,6 @@ TEST_CASE("a small light's shadow of slender leaves is exact far below them",
     // 1024 samples of the map and 5025 of this are that far apart.
     CHECK(errorWith < 0.01);
     CHECK(errorWithout > 0.03);
-}
-
-TEST_CASE("the Hilbert curve goes through every cell and only to neighbours",
-          "[bake][twin]") {
-    constexpr std::uint32_t kSide = 16;
-    std::vector<std::uint32_t> x, y, z;
-    for (std::uint32_t i = 0; i < kSide * kSide * kSide; ++i) {
-        x.push_back(i % kSide);
-        y.push_back(i / kSide % kSide);
-        z.push_back(i / kSide / kSide);
-    }
-    const std::vector<std::uint32_t> coordinates[3] = {x, y, z};
-    // All at once, and one by one, which is not done by vectors.
-    std::vector<std::uint64_t> places(x.size()), alone(x.size());
-    bake_detail::hilbertPlaces(x.data(), y.data(), z.data(), x.size(), 4, places.data());
-    for (std::size_t i = 0; i < alone.size(); ++i) {
-        std::uint32_t cell[3] = {coordinates[0][i], coordinates[1][i], coordinates[2][i]};
-        bake_detail::hilbertPlaces(&cell[0], &cell[1], &cell[2], 1, 4, &alone[i]);
-    }
-    CHECK(alone == places);
-    std::vector<std::size_t> cells(places.size());
-    std::vector<int> seen(places.size());
-    for (std::size_t i = 0; i < places.size(); ++i) {
-        REQUIRE(places[i] < places.size());
-        cells[places[i]] = i;
-        seen[places[i]] += 1;
-    }
-    CHECK(std::count(seen.begin(), seen.end(), 1) == long(seen.size()));
-    int strides = 0;
-    for (std::size_t i = 1; i < cells.size(); ++i) {
-        for (const std::vector<std::uint32_t>& axis : coordinates)
-            strides += std::abs(int(axis[cells[i]]) - int(axis[cells[i - 1]]));
-    }
-    CHECK(strides == int(cells.size()) - 1);
 }
 
 TEST_CASE("long triangles do not shadow what lies on them", "[bake][exact]") {

@@ -261,7 +261,14 @@ TEST_CASE("strands are as wide as they are along their length", "[bake]") {
     const auto found = measureCasters(casters);
     REQUIRE(found);
     CHECK(found->strands == 2);
-    CHECK(found->strandWidth == Approx((3 * 0.03 + 1 * 0.1) / 4 / 7).epsilon(1e-6));
+    CHECK(found->strandWidth == Approx((3 * 0.03 + 1 * 0.1) / 4 / 6).epsilon(1e-6));
+    // Beside a floor that is ten times as large a map's pixels are, too.
+    test::Mesh floor;
+    floor.quad({0, 0, 0}, {0, 0, 120}, {120, 0, 120}, {120, 0, 0});
+    CasterViews both({hair.view(), floor.view()});
+    const auto wider = measureCasters(both);
+    REQUIRE(wider);
+    CHECK(wider->strandWidth == Approx(0.19 / 4 * 2 / 124).epsilon(1e-6));
 }
 
 TEST_CASE("a near field of hair does not depend on threads or on the order of strands",

@@ -389,32 +389,38 @@ TEST_CASE("a strand of segments much shorter than wide is one strand", "[trace]"
             const double way = k * step * std::sqrt(0.5);
             return glm::dvec3(round(32 + 32 * way, 0x1p-8), 24, round(32 + way, 0x1p-14));
         };
-        segments.push_back({{at(i), at(i + 1)}, {steps, steps}, 65535});
+        segments.push_back({{at(i), at(i + 1)}, {steps, steps}, 26214});
     }
-    const auto closed = [&] {
+    const auto met = [&] {
         const ShadowMap map = mapOfSegments(segments, false);
         test::Rays rays(1, 1);
         const double aside = 0.4 * half * std::sqrt(0.5);
         rays.setStart(0, {32 + 32 * aside, 24, 32 - aside});
         for (int lane = 0; lane < kLanes; ++lane)
-            rays.setDelta(0, lane, {0, -0.125 * lane, 16.0});
+            rays.setDelta(0, lane, {0, -0.125 * lane - 0.031, 16.0});  // not at joints
         rays.bound();
         rays.bundle.rise[0] = 12.0f;
         trace::RayDepths depths = noDepths();
         trace::traceHair(map.nearHair(0), map.projection(0), {}, 1, rays.bundle, depths);
-        return 16 - std::popcount(rays.bundle.open[0]);
+        return std::vector<float>(depths.depth[0][0], depths.depth[0][0] + kLanes);
     };
-    CHECK(closed() == 0);
-    // Another one goes across, two and a half half widths above.
-    for (int i = -30; i < 30; ++i) {
-        const auto at = [&](int k) {
-            return glm::dvec3(round(32 + 32 * 0.4 * half * std::sqrt(0.5), 0x1p-8),
-                              round(24 + 24 * k * step, 0x1p-8),
-                              round(32 + 2.5 * half, 0x1p-14));
-        };
-        segments.push_back({{at(i), at(i + 1)}, {steps, steps}, 65535});
+    CHECK(met() == std::vector<float>(kLanes, 0.0f));
+    // Another one goes across above, so far that there is no room for it among what is
+    // close, or so near that there is: it is met once.
+    const std::vector<Segment> own = segments;
+    for (const double above : {3.3, 2.2}) {
+        segments = own;
+        for (int i = -30; i < 30; ++i) {
+            const auto at = [&](int k) {
+                return glm::dvec3(round(32 + 32 * 0.4 * half * std::sqrt(0.5), 0x1p-8),
+                                  round(24 + 24 * k * step, 0x1p-8),
+                                  round(32 + above * half, 0x1p-14));
+            };
+            segments.push_back({{at(i), at(i + 1)}, {steps, steps}, 26214});
+        }
+        for (const float depth : met())
+            CHECK(depth == Approx(-std::log1p(-26214.0 / 65535.0)));
     }
-    CHECK(closed() == 16);
 }
 
 TEST_CASE("close to the receiver joints are round, and are crossed once", "[trace]") {
@@ -557,4 +563,69 @@ TEST_CASE("what a ray meets of strands depends on that ray alone, on every proce
         }
     });
     CHECK(met > 1000);
+}
+
+TEST_CASE("where more strands are close than there is room for, rays meet the same",
+          "[trace][twin]") {
+    Random random(99);
+    for (int round = 0; round < 6; ++round) {
+        INFO(round);
+        const bool perspective = round & 1;
+        const double unit = perFootprint(perspective);
+        const double side = round % 3 ? 1.5 : 0.3, reach = round % 2 ? 0.02 : 0.6;
+        std::vector<Segment> segments;
+        for (int i = 0; i < 400 + 200 * round; ++i) {
+            const glm::dvec3 at(random.in(32 - side, 32 + side),
+                                random.in(32 - side, 32 + side),
+                                random.in(25 - side, 25 + side) * unit);
+            Segment s;
+            for (glm::dvec3& p : s.end)
+                p = onGrid(at + reach * glm::dvec3(random.in(-1, 1), random.in(-1, 1),
+                                                   random.in(-1, 1) * unit),
+                           perspective);
+            if (i % 9 != 0) s.end[0] = segments.back().end[1];  // joined
+            for (int& half : s.half)
+                half = int(random.below(256));
+            s.opacity = 1 + int(random.below(30000));
+            segments.push_back(s);
+        }
+        const ShadowMap map = mapOfSegments(segments, perspective);
+        auto rays = std::make_unique<test::Rays>(16, 2);
+        for (int receiver = 0; receiver < 16; ++receiver) {
+            rays->setStart(receiver, {random.in(31, 33), random.in(31, 33),
+                                      random.in(24, 26) * unit});
+            for (int row = 2 * receiver; row < 2 * receiver + 2; ++row) {
+                for (int lane = 0; lane < kLanes; ++lane)
+                    rays->setDelta(
+                        row, lane,
+                        {random.in(-9, 9), random.in(-9, 9), random.in(12, 16) * unit});
+            }
+        }
+        rays->bound();
+        for (int receiver = 0; receiver < 16; ++receiver)
+            rays->bundle.rise[receiver] = float(random.in(2, 12) * unit);
+        const auto traced = [&](test::Rays& of) {
+            trace::HairTraceOptions options;
+            options.start = round % 3 ? 0.25f : 0.0f;
+            trace::RayDepths depths = noDepths();
+            trace::traceHair(map.nearHair(0), map.projection(0), options, 1, of.bundle,
+                             depths);
+            return std::vector<float>(depths.depth[0][0],
+                                      depths.depth[0][0] + of.rows() * kLanes);
+        };
+        std::vector<float> first;
+        onEachTarget([&](const char* name) {
+            INFO(name);
+            test::Rays all = *rays;
+            const std::vector<float> depths = traced(all);
+            if (first.empty()) first = depths;
+            CHECK(depths == first);
+            for (int receiver = 0; receiver < 16; ++receiver) {
+                test::Rays one = rays->only({receiver});
+                const std::vector<float> alone = traced(one);
+                CHECK(std::equal(alone.begin(), alone.end(),
+                                 depths.begin() + long(receiver) * long(alone.size())));
+            }
+        });
+    }
 }

@@ -37,7 +37,8 @@ struct CasterMeasures {
     bool letThrough = false;      ///< surfaces with opacities below 1 or alpha textures
     std::uint64_t triangles = 0;  ///< that can cast
     std::uint64_t strands = 0, volumes = 0;
-    /// Of the strands, the mean along them, over the diagonal of the box around them all.
+    /// Of the strands, the mean along them, over the longest side of the box around all
+    /// strands and meshes: about the share of a map's side that they are wide.
     float strandWidth = 0.0f;
 };
 
