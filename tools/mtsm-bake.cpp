@@ -613,6 +613,12 @@ void sayWhatWasRead(Talk& talk, const BakeReport& r) {
                                     {r.outside, "outside window, near and far"},
                                     {r.clipped, "reaching out of the window"}});
     if (!odd.empty()) talk.say("of these: " + odd);
+    if (r.strandWidth > r.segmentLength)
+        talk.warn("strands are " + shortText(r.strandWidth) +
+                  " wide and their segments " + shortText(r.segmentLength) +
+                  " long, in the mean: at bends such segments show as pieces, and errors "
+                  "of some hundredths are to be expected; give narrower strands "
+                  "(--hair-width), or fewer points a strand");
     if (2 * r.outside > r.triangles + r.segments)
         talk.warn(
             "most triangles lie outside window, near and far and cast nothing: check "

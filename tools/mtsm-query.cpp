@@ -563,8 +563,7 @@ const char* adviceFor(const Arguments& a, std::optional<float> bakedFor,
     if (bakedFor && *bakedFor <= 1.0001f * asked)
         return "the map was baked for it, and that is what the worse maps of its kind "
                "have: it may well be better; hold it against the truth with "
-               "mtsm-compare, "
-               "or bake with a higher --resolution";
+               "mtsm-compare";
     return "bake the map with the same --target-error, or finer";
 }
 

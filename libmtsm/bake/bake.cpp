@@ -184,6 +184,8 @@ Result<Baked> bakeChecked(CasterSource& casters, const BakeOptions& options) {
         !s)
         return s.error();
     report.readSeconds = visits.readSeconds();
+    report.strandWidth = placed->strandWidth;
+    report.segmentLength = placed->segmentLength;
     if (report.droppedHidden > 0)
         info.attributes.push_back({"hiddenLayers", std::int64_t(report.droppedHidden)});
     if (settings.rounding > 0.0f)

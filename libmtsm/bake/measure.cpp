@@ -136,6 +136,10 @@ Extent measureStrands(const StrandsView& view, std::size_t first, std::size_t la
     Extent extent;
     const auto segment = [&](glm::dvec3 a, glm::dvec3 b, double width) {
         if (!(usable(a) && usable(b) && width > 0.0)) return;
+        const double length = glm::distance(a, b);
+        ++extent.segments;
+        extent.segmentLength += length;
+        extent.segmentArea += length * scale * width;
         // Off the axis a ribbon that faces the eye is wider, and twice that in a bend.
         double half = scale * width;
         if (depths.perspective)
@@ -247,6 +251,9 @@ void Extent::add(const Extent& other) noexcept {
     degenerate += other.degenerate;
     transparent += other.transparent;
     outside += other.outside;
+    segments += other.segments;
+    segmentLength += other.segmentLength;
+    segmentArea += other.segmentArea;
     cut += other.cut;
 }
 

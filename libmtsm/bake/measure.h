@@ -26,6 +26,9 @@ struct Extent {
     std::uint64_t nonFinite = 0, degenerate = 0, transparent = 0;
     /// Triangles, segments and blocks wholly in front of near or behind far.
     std::uint64_t outside = 0;
+    /// Of strands: segments, and their lengths and areas, world units.
+    std::uint64_t segments = 0;
+    double segmentLength = 0.0, segmentArea = 0.0;
     std::uint64_t cut = 0;  ///< of those that reach in front of near, wholly or in part
 
     /// True if nothing reaches between near and far.

@@ -141,6 +141,13 @@ BakeReport report(const Extent& e) {
     return r;
 }
 
+void setSizes(const Extent& casters, Placement& placed) {
+    placed.triangles = casters.triangles;
+    if (!(casters.segmentLength > 0.0)) return;
+    placed.segmentLength = casters.segmentLength / double(casters.segments);
+    placed.strandWidth = casters.segmentArea / casters.segmentLength;
+}
+
 Error allBehind(const BakeOptions& options) {
     if (options.near || options.far)
         return invalid("no caster lies between --near and --far, ",
@@ -242,7 +249,7 @@ Result<Placement> placeFinite(Visits& visits, const BakeOptions& options) {
         auto measured = measure(visits, worldFrame(), -kInfinity, kInfinity);
         if (!measured) return measured.error();
         bounds = *measured;
-        placed.triangles = bounds.triangles;
+        setSizes(bounds, placed);
         if (bounds.empty()) return nothingCasts(report(bounds));
         if (!options.fov) {
             if (auto s = checkOutside(light.position, bounds); !s) return s.error();
@@ -293,7 +300,7 @@ Result<Placement> placeCube(Visits& visits, const BakeOptions& options) {
         auto measured = measure(visits, worldFrame(), -kInfinity, kInfinity);
         if (!measured) return measured.error();
         bounds = *measured;
-        placed.triangles = bounds.triangles;
+        setSizes(bounds, placed);
         if (bounds.empty()) return nothingCasts(report(bounds));
     }
     if (hasFront) {
@@ -326,7 +333,7 @@ Result<Placement> placeSun(Visits& visits, const BakeOptions& options) {
     auto bounds = measure(visits, worldFrame(), -kInfinity, kInfinity);
     if (!bounds) return bounds.error();
     if (bounds->empty()) return nothingCasts(report(*bounds));
-    placed.triangles = bounds->triangles;
+    setSizes(*bounds, placed);
     orient(p, unit(options.light.direction), options.up);
     placed.light.direction = p.forward;
 

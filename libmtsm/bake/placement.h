@@ -49,6 +49,8 @@ struct Placement {
     AreaLight light;                      ///< as it is stored: aimed, with unit vectors
     std::vector<Projection> projections;  ///< one, or a cube's six
     std::uint64_t triangles = 0;          ///< that the casters have; 0: not known
+    /// BakeReport's; 0: there are no strands, or it is not known.
+    double strandWidth = 0.0, segmentLength = 0.0;
 };
 
 /// Refuses options that are out of range, whatever the casters are.

@@ -664,6 +664,12 @@ class Casters(ToolTest):
         pathlib.Path("fur.tfx").write_bytes(tfx())
         self.assertIn("2 strands, 6 segments", self.good(self.bake("fur.tfx", "--hair-width", 0.1)).stderr)
 
+    def test_strands_wider_than_their_segments_are_long_are_told(self):
+        for width, told in ((1.9, False), (2.1, True)):
+            done = self.good(self.bake("fur.hair", "--hair-width", width, "--hair-tip-width", width))
+            text = f"strands are {width} wide and their segments 2 long"
+            self.assertEqual(text in done.stderr, told, done.stderr)
+
     def test_a_job_gives_each_hair_file_its_own_width(self):
         pathlib.Path("job.toml").write_text("""[light]
             radius = 0.3

@@ -102,12 +102,15 @@ struct BakeOptions {
 struct BakeReport {
     std::uint64_t meshes = 0, triangles = 0;
     std::uint64_t strands = 0, segments = 0;  ///< of hair
-    std::uint64_t volumes = 0, voxels = 0;    ///< voxels with a density
-    std::uint64_t degenerate = 0;             ///< no area, or less than a double resolves
-    std::uint64_t nonFinite = 0;              ///< a vertex is NaN or infinite
-    std::uint64_t culled = 0;                 ///< by `cull`
-    std::uint64_t transparent = 0;            ///< left out because their opacity is 0
-    std::uint64_t outside = 0;                ///< wholly outside window, near and far
+    /// Of hair, means, world units; 0: none, or options that say all of the view had no
+    /// need to look.
+    double strandWidth = 0.0, segmentLength = 0.0;
+    std::uint64_t volumes = 0, voxels = 0;  ///< voxels with a density
+    std::uint64_t degenerate = 0;           ///< no area, or less than a double resolves
+    std::uint64_t nonFinite = 0;            ///< a vertex is NaN or infinite
+    std::uint64_t culled = 0;               ///< by `cull`
+    std::uint64_t transparent = 0;          ///< left out because their opacity is 0
+    std::uint64_t outside = 0;              ///< wholly outside window, near and far
     std::uint64_t clipped = 0;  ///< cut by near or far, or reaching out of the window
     std::uint64_t passes = 1;   ///< times that the casters were rasterised, band by band
     std::uint64_t droppedByLayers = 0;  ///< samples, because of the cap on layers
