@@ -5,7 +5,7 @@
 #     samples/paper/bench.sh                # all but the giants: some hours
 #     samples/paper/bench.sh palm fur       # some of: character bumpy palm fur cards smoke giant-13m
 #                                           # giant-109m
-#     samples/paper/bench.sh --quick        # fewer settings, each timed thrice: three quarters of an hour
+#     samples/paper/bench.sh --quick        # fewer settings, each timed thrice: an hour and more
 #     samples/paper/bench.sh --points16     # equal error with 16 points a pixel as well, of fewer settings
 #     samples/paper/bench.sh --mesh dragon.ply --light-position 50,300,100 --light-radius 10
 #                                           # a mesh of yours on a floor as well
