@@ -134,12 +134,12 @@ Extent measureStrands(const StrandsView& view, std::size_t first, std::size_t la
                       const LightFromObject& lightFromObject, double scale,
                       const Depths& depths) {
     Extent extent;
-    const auto segment = [&](glm::dvec3 a, glm::dvec3 b, double width) {
+    const auto segment = [&](glm::dvec3 a, glm::dvec3 b, double width, double mean) {
         if (!(usable(a) && usable(b) && width > 0.0)) return;
         const double length = glm::distance(a, b);
         ++extent.segments;
         extent.segmentLength += length;
-        extent.segmentArea += length * scale * width;
+        extent.segmentArea += length * scale * mean;
         // Off the axis a ribbon that faces the eye is wider, and twice that in a bend.
         double half = scale * width;
         if (depths.perspective)
@@ -166,9 +166,9 @@ Extent measureStrands(const StrandsView& view, std::size_t first, std::size_t la
         glm::dvec3 a = lightFromObject(view.points[view.begin[s]]);
         for (std::uint32_t i = view.begin[s]; i + 1 < view.begin[s + 1]; ++i) {
             const glm::dvec3 b = lightFromObject(view.points[i + 1]);
-            segment(
-                a, b,
-                view.widths ? std::max(view.widths[i], view.widths[i + 1]) : view.width);
+            const float begin = view.widths ? view.widths[i] : view.width;
+            const float end = view.widths ? view.widths[i + 1] : view.width;
+            segment(a, b, std::max(begin, end), 0.5 * (double(begin) + double(end)));
             a = b;
         }
     }
@@ -220,23 +220,6 @@ Extent measureVolume(const VolumeView& view, const Projection& frame,
     return extent;
 }
 
-/// Adds what a caster reaches, if it can cast.
-void addCaster(const CasterView& caster, const Projection& frame, const Depths& depths,
-               Extent& extent) {
-    if (const auto* mesh = std::get_if<MeshView>(&caster)) {
-        ++extent.meshes;
-        extent.triangles += mesh->triangleCount;
-        if (mesh->opacity == 0.0f && !mesh->texture)
-            extent.transparent += mesh->triangleCount;
-        else
-            extent.add(measureMesh(*mesh, frame, depths));
-    } else if (const auto* strands = std::get_if<StrandsView>(&caster)) {
-        extent.add(measureStrands(*strands, frame, depths));
-    } else if (const auto* volume = std::get_if<VolumeView>(&caster)) {
-        extent.add(measureVolume(*volume, frame, depths));
-    }
-}
-
 }  // namespace
 
 void Extent::add(const Extent& other) noexcept {
@@ -257,12 +240,35 @@ void Extent::add(const Extent& other) noexcept {
     cut += other.cut;
 }
 
-Result<Extent> measure(Visits& visits, const Projection& frame, double near, double far) {
+void Extent::addCaster(const CasterView& caster, const Projection& frame, double near,
+                       double far) {
     const Depths depths{near, far, frame.kind == ProjectionKind::perspective};
+    if (const auto* mesh = std::get_if<MeshView>(&caster)) {
+        ++meshes;
+        triangles += mesh->triangleCount;
+        if (mesh->opacity == 0.0f && !mesh->texture)
+            transparent += mesh->triangleCount;
+        else
+            add(measureMesh(*mesh, frame, depths));
+    } else if (const auto* strands = std::get_if<StrandsView>(&caster)) {
+        add(measureStrands(*strands, frame, depths));
+    } else if (const auto* volume = std::get_if<VolumeView>(&caster)) {
+        add(measureVolume(*volume, frame, depths));
+    }
+}
+
+Projection worldFrame() noexcept {
+    Projection p;
+    p.kind = ProjectionKind::orthographic;
+    p.forward = {0.0, 0.0, 1.0};
+    return p;
+}
+
+Result<Extent> measure(Visits& visits, const Projection& frame, double near, double far) {
     Extent extent;
     const Status status = visits.each([&](const CasterView& caster) -> Status {
         if (auto s = visits.progress()("reading casters", -1.0); !s) return s;
-        addCaster(caster, frame, depths, extent);
+        extent.addCaster(caster, frame, near, far);
         return {};
     });
     if (!status) return status.error();

@@ -36,10 +36,16 @@ struct Extent {
     /// True if something could cast, wherever it is.
     [[nodiscard]] bool usable() const noexcept { return !empty() || outside > 0; }
     void add(const Extent& other) noexcept;
+    /// Adds what a caster reaches, if it can cast; see measure().
+    void addCaster(const CasterView& caster, const Projection& frame, double near,
+                   double far);
     void include(glm::dvec3 p, bool perspective) noexcept;
     /// All of a square that is level with the frame, so far to each side of p.
     void includeSquare(glm::dvec3 p, double half, bool perspective) noexcept;
 };
+
+/// Light space as large as the world, for measuring in world coordinates.
+[[nodiscard]] Projection worldFrame() noexcept;
 
 /// `frame`: kind, eye and axes are used, raster scale and window are not. For a
 /// perspective frame near > 0.

@@ -80,14 +80,6 @@ void orient(Projection& p, glm::dvec3 forward, glm::dvec3 up) {
     p.up = glm::cross(p.right, forward);
 }
 
-/// Light space as large as the world, for measuring in world coordinates.
-Projection worldFrame() {
-    Projection p;
-    p.kind = ProjectionKind::orthographic;
-    p.forward = {0.0, 0.0, 1.0};
-    return p;
-}
-
 // --- windows
 // -------------------------------------------------------------------------------
 

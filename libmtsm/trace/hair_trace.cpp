@@ -557,7 +557,8 @@ std::uint32_t HairWalk::putAside(int lane, const Segments& segments) {
     for (std::uint32_t rest = closeTo() & segments.present; rest; rest &= rest - 1) {
         if (close.count == kMostClose) {
             if (!makeRoom(lane)) break;
-            if ((rest &= closeTo()) == 0) break;
+            rest &= closeTo();
+            if (rest == 0) break;
         }
         const int i = std::countr_zero(rest);
         CloseSegments::Segment& to = close.segments[close.count++];

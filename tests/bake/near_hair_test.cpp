@@ -264,7 +264,7 @@ TEST_CASE("strands are as wide as they are along their length", "[bake]") {
     CHECK(found->strandWidth == Approx((3 * 0.03 + 1 * 0.1) / 4 / 6).epsilon(1e-6));
     // Beside a floor that is ten times as large a map's pixels are, too.
     test::Mesh floor;
-    floor.quad({0, 0, 0}, {0, 0, 120}, {120, 0, 120}, {120, 0, 0});
+    floor.quad({-10, 0, 0}, {-10, 0, 120}, {114, 0, 120}, {114, 0, 0});
     CasterViews both({hair.view(), floor.view()});
     const auto wider = measureCasters(both);
     REQUIRE(wider);
